@@ -53,6 +53,20 @@ def test_no_message_has_a_pattern_that_is_not_english():
     assert faults == []
 
 
+def test_no_sentence_of_the_explore_page_has_one():
+    """A sentence of the page's scripts is a string of three words or more."""
+    scripts = sorted((ROOT / "src" / "imubayes_explorer" / "page").glob("*.js"))
+    assert len(scripts) > 15
+    sentences = r'"([^"\n]*\w+ \w+ \w+[^"\n]*)"'
+    faults = [
+        f"{script.name}: {fault}"
+        for script in scripts
+        for sentence in re.findall(sentences, script.read_text(encoding="utf-8"))
+        for fault in _found(sentence)
+    ]
+    assert faults == []
+
+
 def test_no_page_has_a_pattern_that_is_not_english():
     files = [file for pattern in PAGES for file in sorted(ROOT.glob(pattern))]
     assert len(files) > 35

@@ -145,7 +145,7 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
         )
         for left in lefts
     ]  # fmt: skip
-    none = "At the largest size met in practice, no run that is drawn here shows it beside the model.\n"
+    none = "At the largest size met in practice, no run that is drawn here shows it.\n"
     header = ("procedure", "significance", "retained", "taken up by", "imitated by")
     parts = [_filled("left", figures="\n".join(figures) or none, shown=f"{SHOWN:g}", table=table(header, rows))]
     runs = [
@@ -157,7 +157,9 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
         for left in lefts if left.freeing is not None
     ]  # fmt: skip
     if runs:
-        parts.append(_filled("separating", table=table(("beside the runs of", "from", "further run", "Δχ²"), runs)))
+        parts.append(
+            _filled("separating", table=table(("in addition to the runs of", "from", "further run", "Δχ²"), runs))
+        )
     return parts
 
 
@@ -298,4 +300,4 @@ def _by_pattern(found: Iterable[Sequence[Left]]) -> str:
         if share:
             seen.setdefault(said.partition(",")[0], {})[left.effect] = None
     ordered = sorted(seen, key=lambda said: said.rpartition(" in ")[2])
-    return table(("what is left", "effects that leave it"), [(said, _links(seen[said])) for said in ordered])
+    return table(("residual", "effects that leave it"), [(said, _links(seen[said])) for said in ordered])

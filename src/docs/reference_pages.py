@@ -61,7 +61,7 @@ def api_pages() -> Pages:
         file = f"api-{group.lower()}"
         pages[f"reference/{file}.md"] = f"# Python: {group.lower()}\n\n{body}"
         index[file] = ", ".join(f"{{py:obj}}`~imubayes.{name}`" for name in names)
-    intro = f"`import imubayes`; imubayes {imubayes.__version__}. What is not listed here is private and may change."
+    intro = f"`import imubayes`; imubayes {imubayes.__version__}. Other names are private and may change."
     return {"reference/api.md": contents("Python interface", intro, index), **pages}
 
 
@@ -172,13 +172,13 @@ def symbol_pages() -> Pages:
         (f"`{each.column}`", each.unit, each.symbol or "–", each.phrase, each.origin) for each in COVARIATES.values()
     ]
     covariates = (
-        "# Covariates\n\nWhat a run may carry beside the outputs of its channels: the column in run tables and "
+        "# Covariates\n\nQuantities that a run may record in addition to its outputs: the column in run tables and "
         "residuals, its unit, its symbol in formulas, and whether it is recorded, derived from recorded columns by the "
         "procedure, or evaluated by the model at each sample.\n\n"
         + table(("column", "unit", "symbol", "meaning", "origin"), columns)
     )
     findings = (
-        "# Findings\n\nWhat `imubayes check` and the set-up gate of `imubayes fit` may find. A campaign accepts "
+        "# Findings\n\nFindings of `imubayes check` and of the set-up gate of `imubayes fit`. A campaign accepts "
         'those about its set-up by name, `accepted = ["table_zero"]`.\n\n'
         + table(
             ("finding", "meaning", "can be accepted"),

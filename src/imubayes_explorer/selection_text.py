@@ -35,7 +35,11 @@ def selection_text(
     if nothing >= _EXPLAINS:
         return f"{said} Noise alone explains {them} with probability {probability(nothing)}."
     if offset is not None and offset >= max(_EXPLAINS, best[1] if best is not None else 0.0):
-        deviate = "It deviates by a cause of its own" if n == 1 else "They deviate by a cause of their own"
+        deviate = (
+            "An offset of this reading alone explains it"
+            if n == 1
+            else "An offset of these readings alone explains them"
+        )
         return f"{said} {deviate}, with probability {probability(offset)}."
     if best is not None and best[1] >= _EXPLAINS:
         return f"{said} {best[0]} explains {them} with probability {probability(best[1])}."

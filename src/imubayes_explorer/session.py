@@ -113,7 +113,7 @@ class Session:
         self.worker, self.closed = Worker(self.changed), False
 
     def close(self) -> None:
-        """End the news of every window, and cancel what is at work."""
+        """End the news of every window, and cancel the running task."""
         self.closed = True
         for each in self.worker.tasks:
             self.worker.cancel(each.number)
@@ -432,7 +432,7 @@ class Session:
             raise input_error(
                 "the campaign is no longer the one that was fitted",
                 model.readings.fit.model.campaign.folder or "campaign",
-                "the files as they were: the fit belongs to their every byte",
+                "the files exactly as they were fitted",
                 f"restore them, or fit the campaign as it is now: "
                 f"{command_line('explore', 'CAMPAIGN', '--model', str(model.folder / MODEL))}",
             )  # fmt: skip
@@ -475,7 +475,7 @@ class Session:
             others = sorted(each.name for each in Path(scratch).iterdir() if each != file)
             if others:
                 raise input_error(
-                    f"the selected model needs {', '.join(others)} beside it", "export", "a model in one file",
+                    f"the selected model also needs {', '.join(others)}", "export", "a model in one file",
                     f"run: {command_line('history', shown(self.root), '--export', 'model.toml')}",
                 )  # fmt: skip
             return file.read_text(encoding="utf-8")

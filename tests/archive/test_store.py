@@ -80,7 +80,7 @@ def test_check_reports_damage_misplacement_and_strays(campaigns, tmp_path):
     (moved.parent / ".x.parquet.1.part").write_bytes(b"")
     words = " ".join(issue.what for issue in Archive(out).check())
     assert "damaged" in words
-    assert "not in its place" in words
+    assert "is missing from its folder" in words
     assert "interrupted write" in words
 
 

@@ -36,7 +36,7 @@ def test_the_last_lines_repeat_the_outcome(plain):
     """The first line of a long output has left the screen."""
     flawed = plain.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
     stuck = plain.model_copy(update={"converged": False, "message": "R-hat 1.4"})
-    outcomes = [summary_report(each).closing[-1].partition(" chi2")[0] for each in (plain, flawed, stuck)]
+    outcomes = [summary_report(each).closing[-1].partition(" χ²")[0] for each in (plain, flawed, stuck)]
     assert outcomes == [
         "Converged. The data determined 82 of 86 parameters.",
         "Converged, but the intervals cannot be trusted; the first line says why.",
@@ -78,7 +78,7 @@ def test_noise_that_contradicts_what_is_known_precedes_everything(plain):
         "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax], 212 LSB, is 53.00 ± 0.90 times that of the raw samples "
         "of the"
     )
-    assert "degrees of freedom at the noise as fitted, 810000.0 for 288 at the noise known beforehand; fit" in text
+    assert "degrees of freedom at the noise as fitted, 810000.0 for 288 at the noise known beforehand. Fit" in text
     assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"
     assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
     both = flawed.model_copy(update={"noise_violations": VIOLATIONS})

@@ -549,7 +549,7 @@ def test_a_session_that_is_begun_again_has_what_was_done(client, explored):
     ("nothing", "offset", "best", "said"),
     [
         (0.8, 0.1, ("a_cause", 0.1), "Noise alone explains them with probability 0.80"),
-        (0.1, 0.7, ("a_cause", 0.2), "They deviate by a cause of their own, with probability 0.70"),
+        (0.1, 0.7, ("a_cause", 0.2), "An offset of these readings alone explains them, with probability 0.70"),
         (0.1, 0.0, ("a_cause", 0.9), "a_cause explains them with probability 0.90"),
         (0.4, 0.1, ("a_cause", 0.3), "No single cause is dominant"),
         (0.4, None, None, "No single cause is dominant"),

@@ -265,7 +265,7 @@ def test_another_result_is_told_and_shown_when_asked(fresh):
     )
     fresh.run(f"({told}, null)")
     fresh.wait("document.querySelector('#replaced')")
-    assert "no longer holds the result that is shown" in fresh.text("#replaced")
+    assert "no longer contains the result that is shown" in fresh.text("#replaced")
     fresh.click("#reload")
     fresh.wait("asked.includes('reload') && !document.querySelector('#replaced')")
 

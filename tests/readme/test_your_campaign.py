@@ -46,6 +46,15 @@ def test_the_campaign_is_accepted(folder):
     assert run(["check", str(folder), "--model", str(folder.parent / "model.toml")]) == 0
 
 
+def test_the_readings_left_out_are_those_of_the_campaign(folder, capsys):
+    model = folder.parent / "model.toml"
+    model.write_text(f"{model.read_text()}\n{block('set_aside')}")
+    assert run(["check", str(folder), "--model", str(model)]) == 0
+    model.write_text(model.read_text().replace("rows = [3, 4]", "rows = [13]"))
+    assert run(["check", str(folder), "--model", str(model)]) == 2
+    assert "the run has no row 13" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.slow  # compiles a campaign of its own
 def test_the_fit_finds_what_was_put_in(folder, capsys):
     model = str(folder.parent / "model.toml")

@@ -55,7 +55,9 @@ def test_packets_are_taken_as_even(tmp_path: Path) -> None:
     arrival = 0.01 * (place // 10 * 10 + 9) + 2e-4 * (place % 10)
     keep = np.ones(len(EVEN), dtype=bool)
     table, notes = read(tmp_path, arrival, keep=keep)
-    assert "samples arrive in packets of 10 (steps of 0.2 ms within and 98.2 ms between): taken as even at 100" in notes
+    assert (
+        "samples arrive in packets of 10 (steps of 0.2 ms within and 98.2 ms between): treated as even at 100" in notes
+    )
     np.testing.assert_allclose(np.diff(table["time_s"]), 0.01, rtol=1e-3)
     # A packet that was lost leaves its gap.
     lost, notes = read(tmp_path, arrival, keep=(place < 500) | (place >= 520))

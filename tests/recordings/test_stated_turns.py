@@ -166,4 +166,4 @@ def test_gyros_in_counts_have_their_scale_by_the_stated_turns(tmp_path: Path, se
     assert [channel["scale"] for channel in given.campaign.document["channel"]] == [930.0] * 3
     said = "\n".join(given.campaign.document["notes"])
     assert "nominal scale of the gyros as stated: 930, 930, 930 count per rad/s; offset estimated from turns" in said
-    assert "deg/s; the biases of a fit are those that remain beside it" in said
+    assert "deg/s; the biases of a fit are in addition to it" in said

@@ -146,7 +146,7 @@ def test_what_cannot_be_predicted_is_refused(first):
     assert "all runs" in refused(result, campaign.only("tumble-O-north"))
     doubled = replace(campaign.channels[0], scale_si=2 * campaign.channels[0].scale_si)
     assert "another axis, scale or offset" in refused(result, replace(campaign, channels=(doubled,)))
-    assert "no table, mounting or thermometer" in refused(result, campaign, changed=["plinth"])
+    assert "not a table, mounting or thermometer" in refused(result, campaign, changed=["plinth"])
 
 
 def test_the_command_writes_what_it_says(first, tmp_path, capsys, monkeypatch):

@@ -55,7 +55,7 @@ class NoiseComparison:
     p : p-value of the ratio, over all comparisons (Holm).
     correlated : whether the model has autocorrelated noise on this channel, which scatters rows but not samples.
     unit : of the scale.
-    freedom : degrees of freedom of the fitted noise; 0 where they are not estimated.
+    freedom : degrees of freedom of the fitted noise; 0 if they are not estimated.
     parameter : its name; empty in diagnoses of earlier versions.
     sisters : the channels compared with.
     between_runs : whether it is a scatter between runs.
@@ -146,7 +146,7 @@ class DoubtedRun(Record):
     Attributes
     ----------
     p : chance of what it adds to the others, for all runs together.
-    causes : what in its record would make it agree, the most probable first; empty where nothing that was weighed does.
+    causes : what in its record would make it agree, the most probable first; empty if nothing that was weighed does.
     """
 
     run: str
@@ -159,8 +159,8 @@ class ChannelRms(Record):
 
     Attributes
     ----------
-    within : about the mean of each run; None where it is unknown.
-    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None where unknown.
+    within : about the mean of each run; None if it is unknown.
+    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None if unknown.
     """
 
     channel: str

@@ -94,9 +94,9 @@ class UnitEntry(_Entry):
     description: Text = ""
     """type of the unit, in words"""
     grade: Grade | None = None
-    """to which default priors belong; from the noise where absent"""
+    """to which default priors belong; from the noise if absent"""
     labels: dict[Name, Text] = {}
-    """what may distinguish units of an archive, such as lot, operator or software"""
+    """attributes that may distinguish units of an archive, such as lot, operator or software"""
 
 
 class ChannelEntry(_Entry):
@@ -105,7 +105,7 @@ class ChannelEntry(_Entry):
     name: ColumnName
     """of the channel, and of its column in the run tables"""
     kind: Literal["gyro", "accelerometer"]
-    """what the channel senses"""
+    """sensor of the channel"""
     input_axis: Vector
     """nominal sensitive axis in body axes, of any length"""
     output_axis: Vector | None = Field(
@@ -116,7 +116,7 @@ class ChannelEntry(_Entry):
     output_unit: Text
     """of the column: pulse/s, V, mA, or what the readout gives"""
     scale: float
-    """nominal scale factor: output_unit per input; negative where the channel is reversed"""
+    """nominal scale factor: output_unit per input; negative if the channel is reversed"""
     per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"]
     """unit of the input; g is the gravity of the site, not 9.80665 m/s^2"""
     offset: float = 0.0
@@ -127,7 +127,7 @@ class ChannelEntry(_Entry):
         "name_sd, or from repeated rows",
     )
     current_mA_per_g: float | None = None
-    """nominal current of the accelerometer; needed where a current is fed into its converter"""
+    """nominal current of the accelerometer; required if a current is fed into its converter"""
 
 
 class TableEntry(_Entry):
@@ -249,20 +249,20 @@ class RunEntry(_Entry):
     converter_thermometer: str | None = None
     """name of the [[thermometer]] of converter_temperature_degC"""
     temperature_degC: float | None = Field(default=None, ge=-150, le=150)
-    """of all rows, where the file has no column of that name"""
+    """of all rows, if the file has no column of that name"""
     converter_temperature_degC: float | None = Field(default=None, ge=-150, le=150)
-    """of all rows, where the file has no column of that name"""
+    """of all rows, if the file has no column of that name"""
     temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
         default=None,
-        description="standard uncertainty of temperature_degC, stated or recorded, common to all rows and of no "
-        "other run: the prior of thermometer_error; exact where absent",
+        description="standard uncertainty of the error of temperature_degC that all rows of this run have in common, "
+        "and no other run has: the prior of thermometer_error; exact if absent",
     )
     converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
     """the same of converter_temperature_degC: the prior of converter_thermometer_error"""
     start: datetime | date | None = None
     """when the run began; for timelines and trends"""
     initial_rest_s: Positive | None = None
-    """of a free tumble: time at rest before the first motion; found where absent"""
+    """of a free tumble: time at rest before the first motion; found if absent"""
     transitions: bool = False
     """of a raw log of a rate table with table_angle_deg: the rows between levels are used as well, in short means"""
     turn_uncertainty_deg: Positive | None = None
@@ -291,9 +291,9 @@ class CampaignFile(_Entry):
     accepted: list[str] = []
     """names of findings about the set-up that are only warnings"""
     site: SiteEntry
-    """where the runs were made"""
+    """site of the runs"""
     unit: UnitEntry = UnitEntry()
-    """what was tested"""
+    """unit under test"""
     evaluation: EvaluationEntry = EvaluationEntry()
     """limits of decisions"""
     channel: list[ChannelEntry] = Field(min_length=1)
@@ -337,11 +337,11 @@ class EffectEntry(BaseModel):
     channels: Annotated[list[Name], Field(min_length=1)] | None = None
     """on which the effect acts; by default all of its kind"""
     per: Literal["channel", "all", "run", "mounting"] | None = None
-    """what shares a value of its parameters; by default as the effect declares"""
+    """scope over which a parameter has one value; by default as the effect declares"""
     prior: dict[str, str] = {}
     """prior by parameter, in place of the default"""
     optional: bool = False
-    """leave the effect out where no run can show it"""
+    """leave the effect out if no run can show it"""
 
     @field_validator("channels")
     @classmethod
@@ -357,7 +357,7 @@ class EffectEntry(BaseModel):
 
 
 class PriorCorrelationEntry(_Entry):
-    """Correlation of the priors of noise parameters; of their logarithms where these are lognormal."""
+    """Correlation of the priors of noise parameters; of their logarithms if these are lognormal."""
 
     parameters: list[str] = Field(min_length=2)
     """names as in results: flicker_noise.b[gx]"""
@@ -373,9 +373,9 @@ class SetAsideEntry(_Entry):
     run: Name
     """of the campaign"""
     channels: list[Name] = []
-    """of the unit; all where absent"""
+    """of the unit; all if absent"""
     rows: list[Annotated[int, Field(ge=1)]] = []
-    """of the run table, counted from 1; all where absent"""
+    """of the run table, counted from 1; all if absent"""
     reason: Annotated[str, Field(min_length=1, max_length=400, pattern=_TEXT)]
     """why they are left out"""
 
@@ -390,7 +390,7 @@ class ModelFile(_Entry):
     files: list[FileWithin] = []
     """Python files that define effects, beside the model file"""
     priors_from: Text = ""
-    """what the priors were taken from, such as the population of an archive; told with each fit"""
+    """source of the priors, such as the population of an archive; stated with each fit"""
     delta_k_threshold_percent: Positive | None = None
     """as in the campaign, and before it"""
     effect: list[EffectEntry] = Field(min_length=1)

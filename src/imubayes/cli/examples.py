@@ -20,7 +20,8 @@ def demo(
 ) -> int:  # fmt: skip
     """Copy an example to a folder, fit it, diagnose it, and compare it with its measurements.
 
-    The default example lacks an effect, which the diagnosis names; the comparison begins with what it depends on.
+    The default example lacks an effect, which the diagnosis names; the comparison begins
+    with the quantity on which the effect depends.
 
     Example: imubayes demo --out imubayes-demo
 

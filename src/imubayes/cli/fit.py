@@ -91,7 +91,7 @@ def compare(
     verbose: Flag = False,
     trust: Trust = False,
 ) -> int:
-    """Compare the model with the measurements: figures, and goodness of fit per run and channel. Or two calibrations.
+    """Compare the model with the measurements: figures, goodness of fit per run and channel. Or two calibrations.
 
     Example: imubayes compare results/trihedral-imu
 
@@ -108,17 +108,17 @@ def compare(
     runs
         Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
     every
-        Draw all figures; by default the five that matter most are drawn, and those asked for.
+        Draw all figures; by default the five that matter most are drawn, and those requested.
     changed
-        Of two calibrations: tables and mountings that have the same name in both but are different equipment.
+        For two calibrations: tables and mountings that have the same name in both but are different equipment.
     any_unit
-        Of two calibrations: compare them even if their serial numbers differ.
+        For two calibrations: compare them even if their serial numbers differ.
     limits
-        Of two calibrations: a specification, as of report; says when the next calibration is due.
+        For two calibrations: a specification, as for report; shows when the next calibration is due.
     as_json
-        Of two calibrations: print one JSON object on standard output.
+        For two calibrations: print one JSON object on standard output.
     verbose
-        Of two calibrations: print every quantity.
+        For two calibrations: print every quantity.
     trust
         Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
@@ -174,7 +174,7 @@ def predict(
     campaign
         Folder with campaign.toml, of the same unit; runs that were fitted are left out.
     out
-        Folder to write: pictures as of compare, their page, residuals, and the result as JSON.
+        Folder to write: the pictures and page of compare, residuals, and the result as JSON.
     changed
         Tables and mountings that have the name of one of the fit but are different equipment, such as a seat on which
         the unit was mounted anew.

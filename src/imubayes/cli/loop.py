@@ -35,7 +35,7 @@ class _HowRefitted:
     as_json
         Print one JSON object on standard output.
     verbose
-        List the residual rms of every channel and run, also where it did not change.
+        List the residual rms of every channel and run, also of those that did not change.
     trust
         Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """

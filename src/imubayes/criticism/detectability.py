@@ -279,7 +279,7 @@ _DISTINGUISHED = (_POWER + math.sqrt(_POWER**2 + 2 * NAMED_ODDS)) ** 2
 
 
 def discriminating_run(fitted: Fit, posterior: ExplanationPosterior, slot: MissingEffect) -> RunDesign | None:
-    """Return the run that best distinguishes the members of a slot; None where no feasible run does."""
+    """Return the run that best distinguishes the members of a slot; None if no feasible run does."""
     if len(slot.members) < 2:
         return None
     extended, planned = with_planned(fitted, elsewhere=True)

@@ -181,7 +181,7 @@ def explained_fit(
     progress("weighing the explanations")
     known = covariates(fit)
     posterior = explain(fit, responses, known, _listener(fit, progress, heard))
-    progress("interpreting what was found")
+    progress("interpreting the result")
     return ExplainedFit(fit, responses, known, posterior, result)
 
 

@@ -81,8 +81,8 @@ class EffectGroup(Record):
     candidates : one per effect.
     residual : rms of the channel that shows it best, before and after adding the first, at the noise known beforehand.
     within : whether pictures show that residual about the mean of each run.
-    covariate : what that residual depends on; None where no single covariate explains it.
-    discriminating_run : the feasible run that distinguishes them best; None where there is none.
+    covariate : what that residual depends on; None if no single covariate explains it.
+    discriminating_run : the feasible run that distinguishes them best; None if there is none.
     beyond_typical : the coefficients of the first that are larger than those met in practice.
     """
 
@@ -110,7 +110,7 @@ class UndetectableEffect(Record):
     ----------
     absorbed_by : parameters that absorb its response, largest share first.
     reason : ``absorbed`` by the model, hidden in the ``noise``, or ``not_supplied``: no run responds to it.
-    needs : covariates or stimulus that would bring it out and no run has; empty where unknown.
+    needs : covariates or stimulus that would bring it out and no run has; empty if unknown.
     retained : share of the response that the model does not absorb.
     smallest_detectable, typical, unit : size that would be named with a probability of 80 %, and the range met in
         practice.
@@ -129,7 +129,7 @@ class UndetectableEffect(Record):
 
 
 class AskedEffect(Record):
-    """The effect that was asked about, with the size detected with 80 % power; None where none would be."""
+    """The requested effect, with the size detected with 80 % power; None if none would be."""
 
     effect: str
     smallest_detectable: float | None
@@ -137,7 +137,7 @@ class AskedEffect(Record):
 
 
 class Diagnosis(Presented, Record):
-    """What is missing in a model, found without a refit.
+    """Missing effects of a model, found without a refit.
 
     Attributes
     ----------
@@ -154,11 +154,11 @@ class Diagnosis(Presented, Record):
     undetectable : effects that the runs cannot show.
     outliers : rows far from the most probable explanation.
     suggested : the simplest explanation: effects, or noise, to add next.
-    all_that_fit : the same with everything that the runs cannot distinguish from it; None where that is the same.
+    all_that_fit : the same with everything that the runs cannot distinguish from it; None if that is the same.
     recorded_noise : white noise of each channel, as fitted and as known beforehand.
     contradicted : noise scales of the fit that contradict the knowledge of them, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
-    asked : the effect that was asked about, where one was.
+    asked : the requested effect, if there was one.
 
     Examples
     --------
@@ -214,7 +214,7 @@ class Diagnosis(Presented, Record):
 
     @property
     def most_biasing(self) -> ParameterBias | None:
-        """The worst bias by an effect that the runs cannot show; None where none would matter beside a posterior."""
+        """The worst bias by an effect that the runs cannot show; None if none would matter beside a posterior."""
         known = [each.bias for each in self.undetectable if each.bias is not None]
         worst = max(known, key=lambda bias: abs(bias.in_sd), default=None)
         return worst if worst is not None and abs(worst.in_sd) >= NEGLECTED_SHIFT else None

@@ -22,7 +22,7 @@ Verdict = Literal[
 
 
 class CoefficientEstimate(Record):
-    """A coefficient with its standard uncertainty, in its unit; None where it is not determined."""
+    """A coefficient with its standard uncertainty, in its unit; None if it is not determined."""
 
     name: str
     value: float | None
@@ -69,7 +69,7 @@ Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
 class ProbableExplanation(Record):
     """A kind of explanation: its probability, and the log odds of its most probable form against the best of all.
 
-    `log_odds` is a natural logarithm; None where no explanation of the kind was evaluated.
+    `log_odds` is a natural logarithm; None if no explanation of the kind was evaluated.
     """
 
     kind: Explanation
@@ -171,7 +171,7 @@ class Evidence(Record):
     explanations : every kind of explanation.
     slots : effects of the leading explanation, the strongest first.
     inclusion : effects by their inclusion probability.
-    form : the most probable form or wrong input; None where none is near.
+    form : the most probable form or wrong record; None if none is near.
     noise : noise other than stated, in the leading explanation.
     noise_known : standard deviation of the logarithm of the worst known noise scale.
     hypotheses : how many were evaluated.

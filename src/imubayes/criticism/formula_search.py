@@ -38,10 +38,10 @@ class Term:
     Attributes
     ----------
     text : formula in symbols of the covariates.
-    divisor : unit by which that of its coefficient is divided; empty where it is not.
+    divisor : unit by which that of its coefficient is divided; empty if it is not.
     expression : the same in Python, for `sample`, in SI.
     needs : covariates that a run has to supply.
-    values : shape (E,), in datasheet units, 0 where not known.
+    values : shape (E,), in datasheet units, 0 if not known.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
     """
 
@@ -355,7 +355,7 @@ def terms_of(fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int)
 def find_formula(
     of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int
 ) -> ResidualFormula | None:
-    """Return the simplest formula for what a hypothesis leaves of a channel; None where no term is worth its odds.
+    """Return the simplest formula for what a hypothesis leaves of a channel; None if no term is worth its odds.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class ResidualEvidence:
     Attributes
     ----------
     channel, effect : names of the channel and of the candidate.
-    covariate : the covariate that the explained part follows; None where no single one does.
+    covariate : the covariate that the explained part follows; None if no single one does.
     at : shape (n,), values of the covariate, or of `over`'s; the number of the entry where there is neither.
     run : shape (n,), name of the run of each entry.
     residual, explained : shape (n,), in `unit`.
@@ -160,7 +160,7 @@ def _lies_within(explained: np.ndarray, runs: np.ndarray) -> bool:
 def _following(
     effect: str, member: type, kind: Kind, response: np.ndarray, known: Sequence[ResidualCovariate]
 ) -> ResidualCovariate | None:
-    """Return the covariate that a response follows alone: one that the effect depends on; None where none does.
+    """Return the covariate that a response follows alone: one that the effect depends on; None if none does.
 
     Any where these are not known, and of a memory, which follows the time as well.
     """
@@ -173,7 +173,7 @@ def _following(
 
 
 def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
-    """Return the covariate c for which a response is best input × f(c); None where there is none, or no input."""
+    """Return the covariate c for which a response is best input × f(c); None if there is none, or no input."""
     own = next((each for each in known if each.name == INPUTS.get(kind)), None)
     if own is None:
         return None
@@ -207,7 +207,7 @@ class Outlier(Record):
     channel : of a turn, the component of its closing rotation, such as `closure_x`.
     row : counts from 1; of a raw log, the rows are its means.
     distance : deletion residual in standard deviations.
-    time_s, table_angle_deg : of the row, as recorded; None where it has none.
+    time_s, table_angle_deg : of the row, as recorded; None if it has none.
     """
 
     run: str
@@ -263,7 +263,7 @@ def _outlier(model: Model, entry: int, distance: float) -> Outlier:
 
 
 def _read(model: Model, covariate: str, entry: int) -> float | None:
-    """Return what the row of an entry recorded of a covariate, in the unit of its column; None where nothing."""
+    """Return what the row of an entry recorded of a covariate, in the unit of its column; None if nothing."""
     run = model.campaign.runs[model.entries.run[entry]]
     if covariate not in run.covariates or model.entries.closing[entry]:
         return None

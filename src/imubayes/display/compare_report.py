@@ -158,7 +158,7 @@ def compare(
     result : a result that has a folder, or the folder.
     parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most where None.
     runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst where None.
-    every : draw all figures, not only the five that matter most and those asked for.
+    every : draw all figures, not only the five that matter most and those requested.
     progress : called with a short text as the work goes on.
 
     Raises
@@ -333,7 +333,7 @@ def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
 def _notes(residuals: pl.DataFrame, draws: Mapping[str, Any], chosen: Sequence[str]) -> Iterator[str]:
     runs = ordered(residuals, "run")
     if len(chosen) < len(runs):
-        yield f"{len(chosen)} of {len(runs)} runs with a figure of its own; others: --runs NAME, or --runs all."
+        yield f"{len(chosen)} of {len(runs)} runs have a separate figure; others: --runs NAME, or --runs all."
     if not draws:
         yield "No corner plot: the result holds no posterior draws."
 

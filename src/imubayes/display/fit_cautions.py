@@ -189,8 +189,8 @@ def set_aside_text(found: SetAside) -> str:
 def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
     return tuple(
-        f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: the uncertainties are those within "
-        "that run. Repeatability from run to run requires more runs, or a prior in the model."
+        f"{each.effect} is left out, because only one run contains {listed(each.channels, 4)}. The uncertainties "
+        "are those within that run. Repeatability from run to run requires more runs, or a prior in the model."
         for each in found
     )
 
@@ -307,7 +307,7 @@ def share_of_freedom(summary: Summary) -> float:
 def chi2_text(summary: Summary) -> str:
     """Return χ² at the noise as fitted, and beside it at the noise known beforehand where that was found."""
     fitted = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
-    said, known = f"chi2 {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
+    said, known = f"χ² {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
     if known is None:
         return said
     return f"{said} at the noise as fitted, {known.chi2:.1f} for {known.dof:.0f} at the noise known beforehand"

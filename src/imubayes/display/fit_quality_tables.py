@@ -111,7 +111,7 @@ def _fit_note(summary: records.Summary) -> str:
     if summary.chi2 and summary.dof:
         note = f"Total: {chi2_text(summary)}. "
     if not excessive:
-        return note + f"No chi2 is larger than noise explains (p < {SIGNIFICANT:g})."
+        return note + f"No χ² is larger than noise explains (p < {SIGNIFICANT:g})."
     verb = "is" if excessive == 1 else "are"
     return note + f"{excessive} of {len(runs)} {verb} larger than noise explains (p < {SIGNIFICANT:g}, red)."
 

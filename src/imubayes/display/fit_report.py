@@ -35,12 +35,12 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     sheets += every_table(summary, nuisance=True) if verbose else brief
     sheets += [cautions.conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
-    meaning = f"intervals are {summary.interval}; " if verbose else ""
+    meaning = f"Intervals are {summary.interval}. " if verbose else ""
     drawing = "sampling" if summary.sampled else "draws"
     closing = (
-        f"{_outcome(summary)} {cautions.chi2_text(summary)}; "
-        f"fit {summary.seconds.fit:.1f} s, {drawing} {summary.seconds.sample:.1f} s; "
-        f"{meaning}uncertainty is the {summary.uncertainty if verbose else 'posterior standard deviation'}"
+        f"{_outcome(summary)} {cautions.chi2_text(summary)}. "
+        f"Fit {summary.seconds.fit:.1f} s, {drawing} {summary.seconds.sample:.1f} s. "
+        f"{meaning}Uncertainty: {summary.uncertainty if verbose else 'posterior standard deviation'}."
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
     said, alarm = cautions.notices(summary), cautions.alarm_of(summary)

@@ -71,7 +71,7 @@ class ConverterGainTemperatureRate(Gain, formulas.ThermalRateScale):
 class ConverterGainLag(Gain, formulas.ThermalLagScale):
     """Gain linear in the thermal lag: signal · (1 + γ·(T_τ − T_c)) with dT_τ/dt = (T_c − T_τ)/τ.
 
-    T_τ = T_c where a run begins.  A converter whose gain follows its internal temperature alone has γ equal to its
+    T_τ = T_c at the start of a run. If the gain of a converter follows only its internal temperature, γ is equal to its
     gain drift.
     """
 
@@ -151,8 +151,8 @@ class ConverterOffsetTemperatureRate(Offset, formulas.ThermalRateBias):
 class ConverterOffsetLag(Offset, formulas.ThermalLag):
     """Offset linear in the thermal lag: signal + o·(T_τ − T_c) with dT_τ/dt = (T_c − T_τ)/τ.
 
-    T_τ = T_c where a run begins.  A converter whose offset follows its internal temperature alone has o equal to its
-    offset drift.
+    T_τ = T_c at the start of a run. If the offset of a converter follows only its internal temperature, o is equal to
+    its offset drift.
     """
 
     name = "converter_offset_lag"

@@ -36,8 +36,8 @@ class TumbleHeading(MotionEffect):
 class UnknownHeading(MotionEffect):
     """Direction of north that is not stated: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
 
-    The components have the mean and the covariance of a direction that may be any, ½ each: what is linear in them is
-    right to second moments whatever the direction is, and no angle of ±180° has to be found.
+    The components have the mean and the covariance of a uniformly distributed direction, ½ each. Terms that are linear
+    in them are correct to second moments for every direction, and no angle of ±180° has to be searched.
     """
 
     name = "unknown_heading"
@@ -60,9 +60,9 @@ class UnknownHeading(MotionEffect):
 class UnknownLevel(MotionEffect):
     """Level of a bench that is not stated: gravity g · (e, n, 1 + d); Earth rate Ω sin L · (e, n, d) + m Ω cos L up.
 
-    d and m stand for what tilts e, n of standard deviation σ make of second order: −(e² + n²)/2, of mean −σ² and
-    standard deviation σ², and the part of the level Earth rate of any heading along the tilted vertical, of standard
-    deviation σ.  All of it is linear: a rotation would show along the vertical by its square alone.
+    d and m are the second-order terms of tilts e, n of standard deviation σ: −(e² + n²)/2, of mean −σ² and standard
+    deviation σ², and the part of the level Earth rate of any heading along the tilted vertical, of standard deviation
+    σ. All terms are linear. In a rotation, the tilt would act along the vertical only by its square.
     """
 
     name = "unknown_level"
@@ -175,7 +175,7 @@ class ServoStart(MotionEffect):
 class LeverArm(PlaceEffect):
     """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the rotation axis.
 
-    1 cm at 100 °/s is 3.1 mg, of which the Earth's rotation ω_E makes 83 ppm.  The component of r along the rotation
+    1 cm at 100 °/s is 3.1 mg; the Earth's rotation ω_E contributes 83 ppm of it. The component of r along the rotation
     axis has no effect on the first two terms.
     """
 
@@ -224,7 +224,7 @@ def off_axis(experience: Experience, place: Vector3) -> Experience:
 
 
 class ReferenceGyroEffect(MotionEffect):
-    """An effect of the reference gyro beside the unit; it acts in runs that have one only."""
+    """An effect of the reference gyro beside the unit; it acts only in runs that have one."""
 
     stage = Stage.TABLE
     per = ()

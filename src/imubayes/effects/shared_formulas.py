@@ -120,8 +120,8 @@ class ConstantBias(SignalEffect):
 class BiasDrift(SignalEffect):
     """Bias linear in time: signal + c·t.
 
-    t counts from the start of the campaign's first run where the runs have a `start`, so that one drift spans all runs;
-    otherwise from the start of each run.
+    If the runs have a `start`, t counts from the start of the campaign's first run, so that one drift spans all runs;
+    otherwise it counts from the start of each run.
     """
 
     order = Order.BIAS
@@ -134,9 +134,9 @@ class BiasDrift(SignalEffect):
 
 
 class RunBias(SignalEffect):
-    """Offset of each run: signal + b_r with b_r ~ normal(0, spread); the spread is learnt from all runs together.
+    """Offset of each run: signal + b_r with b_r ~ normal(0, spread); all runs together determine the spread.
 
-    `run_scatter` is the same model with the offsets integrated out: choose it where the offsets themselves are of no
+    `run_scatter` is the same model with the offsets integrated out: use it if the offsets themselves are of no
     interest.
     """
 
@@ -230,10 +230,10 @@ class TemperatureLag(Device, RecordEffect):
 
 
 class ThermalLag(TemperatureLag):
-    """Bias linear in the thermal lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, and T_τ = T where a run begins.
+    """Bias linear in the thermal lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, T_τ = T at the start of a run.
 
-    A sensor whose bias follows the internal temperature alone has c equal to its linear temperature coefficient of
-    bias.  T is linear between two instants, for which the lag is exact.
+    If the bias of a sensor follows only its internal temperature, c equals its linear temperature coefficient of bias.
+    T is taken as linear between two instants; the lag is then exact.
     """
 
     order = Order.BIAS
@@ -260,8 +260,8 @@ class TemperaturePlay(Device, RecordEffect):
 class ThermalHysteresis(TemperaturePlay):
     """Thermal hysteresis of bias: signal + h·m/w, where m follows T with play ±w: m ← clip(m + ΔT, −w, w).
 
-    After more than 2w of warming the bias is h above the middle of the loop, after as much cooling h below it, at any
-    ramp rate; each run begins in the middle.
+    After warming by more than 2w the bias is h above the middle of the loop, after cooling by as much h below it, at
+    any ramp rate. Each run begins in the middle.
     """
 
     order = Order.BIAS
@@ -320,7 +320,7 @@ class ThermalRateScale(Device, SignalEffect):
 class ThermalLagScale(TemperatureLag):
     """Scale factor linear in the thermal lag: signal · (1 + c·(T_τ − T)) with dT_τ/dt = (T − T_τ)/τ.
 
-    T_τ = T where a run begins.  A device whose scale factor follows the internal temperature alone has c equal to its
+    T_τ = T at the start of a run. If the scale factor of a device follows only its internal temperature, c equals its
     linear temperature coefficient.
     """
 
@@ -345,8 +345,8 @@ class ThermalHysteresisScale(TemperaturePlay):
 class ScaleAsymmetry(Sensor, SignalEffect):
     """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x.
 
-    x is the input along the true axis.  Along the nominal one |x| would have its corner where a mounting error is 0,
-    the mode of its prior, and no gradient leads into a corner.
+    x is the input along the true axis. Along the nominal axis, the corner of |x| would be at a mounting error of 0, the
+    mode of its prior, where the gradient does not exist.
     """
 
     order = Order.INPUT

@@ -39,23 +39,21 @@ class TemperatureOffset(UncertainTemperature):
 
 
 class ThermometerError(TemperatureOffset):
-    """True temperature T + δ, where T was stated or recorded, with the same δ in all rows of a run.
+    """True temperature T + δ: T as stated or recorded, and the same δ in all rows of a run.
 
-    The prior of δ is normal, with the `temperature_uncertainty_degC` that the run states; without one, δ = 0.  A model
-    with effects of temperature has it wherever a run states an uncertainty, listed or not.
+    The prior of δ is normal, with the `temperature_uncertainty_degC` that the run states; without one, δ = 0. If a run
+    states an uncertainty, every model with effects of temperature includes this effect, listed or not.
     """
 
     name = "thermometer_error"
     needs = ("temperature",)
     covariate = "temperature"
     confused_with = "gyro_run_bias and accel_run_bias if one coefficient alone depends on temperature"
-    offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature", "temperature"
-    )
+    offset: Scalar = parameter("degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature", "temperature")
 
 
 class ConverterThermometerError(TemperatureOffset):
-    """True temperature T_c + δ of the converter, where T_c was stated or recorded, with the same δ in a whole run.
+    """True temperature T_c + δ of the converter: T_c as stated or recorded, and the same δ in a whole run.
 
     The prior of δ is normal, with the `converter_temperature_uncertainty_degC` of the run; see `thermometer_error`.
     """
@@ -63,9 +61,9 @@ class ConverterThermometerError(TemperatureOffset):
     name = "converter_thermometer_error"
     needs = ("converter_temperature",)
     covariate = "converter_temperature"
-    confused_with = "thermometer_error if gain or offset of one channel alone depends on temperature"
+    confused_with = "thermometer_error if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature of the converter",
+        "degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature of the converter",
         "converter_temperature",
     )  # fmt: skip
 
@@ -89,24 +87,26 @@ class SharedThermometer(UncertainTemperature):
 
 
 class ThermometerCalibration(SharedThermometer):
-    """True temperature T + δ + γ·(T − 25 °C), where T was read, with one δ and γ for all runs of a thermometer.
+    """True temperature T + δ + γ·(T − 25 °C) at the reading T, with one δ and γ for all runs of a thermometer.
 
-    The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without one
-    is 0.  A model with effects of temperature has it wherever a thermometer states one, listed or not.  An error of one
-    run alone is that of `thermometer_error`, which is beside it.
+    The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without a
+    stated uncertainty is 0. If a thermometer states one, every model with effects of temperature includes this effect,
+    listed or not. The error of a single run is `thermometer_error`, in addition.
     """
 
     name = "thermometer_calibration"
     needs = ("temperature",)
     per = ("thermometer",)
     covariate = "temperature"
-    confused_with = "gyro_bias and accel_bias times their temperature coefficients, as an offset shifts T_ref"
+    confused_with = (
+        "gyro_bias and accel_bias: an offset changes them by the offset times their temperature coefficients"
+    )
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature at 25 °C",
         "thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature", "thermometer gain"
+        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of temperature, relative", "thermometer gain"
     )
 
 
@@ -121,12 +121,12 @@ class ConverterThermometerCalibration(SharedThermometer):
     needs = ("converter_temperature",)
     per = ("converter_thermometer",)
     covariate = "converter_temperature"
-    confused_with = "thermometer_calibration if gain or offset of one channel alone depends on temperature"
+    confused_with = "thermometer_calibration if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature of the converter at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature of the converter at 25 °C",
         "converter_thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature of the converter",
+        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of the converter's temperature, relative",
         "converter_thermometer gain",
     )  # fmt: skip

@@ -35,7 +35,7 @@ def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grad
     ----------
     prior : for tactical and navigation grade.
     unit : of the widths.
-    coarse : width (of a lognormal prior the median) for industrial and consumer grade; None where it is the same.
+    coarse : width (of a lognormal prior the median) for industrial and consumer grade; None if it is the same.
     """
     if coarse is None or grade not in ("industrial", "consumer"):
         return prior
@@ -55,7 +55,7 @@ INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "d
 class Site:
     """Where the test was made: latitude in rad, height in m, gravity and its standard uncertainty in m/s².
 
-    The uncertainty is 0 where gravity is exact, and None where it is not stated.
+    The uncertainty is 0 if gravity is exact, and None if it is not stated.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class Channel:
     per : input unit of the datasheet: deg/s, deg/h, rad/s, g or m/s^2.
     scale_si : nominal output units per rad/s or per m/s².
     offset : nominal output at zero input, output units.
-    noise : standard deviation of one raw sample, output units, or None where nothing is known.
+    noise : standard deviation of one raw sample, output units, or None if nothing is known.
     current_per_acceleration : sensor current in A per m/s², or None; for injected currents.
 
     Examples
@@ -129,12 +129,12 @@ class Table:
     azimuth, elevation : rad.
     axis_uncertainty, rate_uncertainty, angle_uncertainty : of the direction of the outer axis, rad; of rates, ratio; of
         an angle that is read, rad.
-    middle_axis, inner_axis : unit vectors in the frame of the outer axis at zero angles; None where there is none, or
+    middle_axis, inner_axis : unit vectors in the frame of the outer axis at zero angles; None if there is none, or
         where one axis is all.
     arm : distance of the inner from the outer axis along x of the outer one, m; 0 but for a centrifuge.
     zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
     intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
-    azimuth_uncertainty, elevation_uncertainty : rad; None where they are that of the axis.
+    azimuth_uncertainty, elevation_uncertainty : rad; None if they are that of the axis.
     zero_angle : reading of the angle of the inner axis at its zero, rad; angles of runs are counted from that zero.
     azimuth_known : whether the azimuth was stated; if not, it is 0.
 
@@ -168,7 +168,7 @@ class Table:
 
     @property
     def tilt_uncertainty(self) -> tuple[float | None, float | None]:
-        """Uncertainty of the direction of the outer axis about table x and y at angle 0, rad; None where not stated.
+        """Uncertainty of the direction of the outer axis about table x and y at angle 0, rad; None if not stated.
 
         Table x is horizontal: a tilt about it is one of the elevation, and one about y moves the axis by the azimuth
         times the cosine of the elevation.
@@ -223,7 +223,7 @@ class Thermometer:
 
     Attributes
     ----------
-    offset_uncertainty : standard uncertainty of its error at 25 °C, °C; None where the campaign states none.
+    offset_uncertainty : standard uncertainty of its error at 25 °C, °C; None if the campaign states none.
     gain_uncertainty : of the error that grows with the distance from 25 °C, a ratio; None likewise.
     """
 
@@ -238,7 +238,7 @@ THERMOMETERS = ("thermometer", "converter_thermometer")
 
 @dataclass(frozen=True)
 class Instruments:
-    """Relative standard uncertainties of instruments beside thermometers; None where the campaign states none.
+    """Relative standard uncertainties of instruments beside thermometers; None if the campaign states none.
 
     Attributes
     ----------
@@ -268,19 +268,19 @@ class Tumble:
     pose : shape (R,); the pose (0, 1, …) that each row of the run was taken in.
     attitude : shape (poses, 3, 3); first estimate of body → local level of each pose, heading arbitrary.
     start, stop : shape (transitions,); the poses that a transition joins.
-    step : shape (transitions, K); length of each integration step in s, 0 where padded.
-    readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 where padded.
+    step : shape (transitions, K); length of each integration step in s, 0 if padded.
+    readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 if padded.
     coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
         rad, from the nominal calibration: what averaging the rate over a step leaves out.
     flagged : shape (poses,); True where the pose was disturbed and is excluded from the fit.
-    carried_row, carried_weight : shape (n,); row of each instant in motion, and its weight in the mean; empty where all
+    carried_row, carried_weight : shape (n,); row of each instant in motion, and its weight in the mean; empty if all
         rows are static.
     carried_turn, carried_step : shape (n,); its transition, and the number of steps from the start of that.
     carried_back : shape (n,); True where its pose is that at the end of the transition.
     first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
-        from which a fit begins, then its information matrix; empty where all rows are static.
+        from which a fit begins, then its information matrix; empty if all rows are static.
     waved : shape (R,), whether a row is a window in motion with a pose of its own, as nothing carries the attitude on;
-        empty where all rows are static or carried.
+        empty if all rows are static or carried.
     """
 
     pose: np.ndarray
@@ -331,7 +331,7 @@ class Run:
     Attributes
     ----------
     name, procedure : as in the campaign file.
-    table, mounting : names in the campaign, or None where the procedure has none.
+    table, mounting : names in the campaign, or None if the procedure has none.
     covariates : name in `imubayes.foundations.covariates.COVARIATES` → shape (R,) in SI.  `table_angle` is NaN where a
         row is a mean over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
     observed : shape (R, C) over the campaign's channels, output units, NaN where missing.
@@ -342,10 +342,10 @@ class Run:
     attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
     temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
-        these temperatures, and no other run has, °C; None or 0 where there is no such error.
+        these temperatures, and no other run has, °C; None or 0 if there is no such error.
     thermometer, converter_thermometer : names of the thermometers of these temperatures; None for one of the run alone.
     turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
-        rest; None where rows are at constant rates.
+        rest; None if rows are at constant rates.
 
     Examples
     --------
@@ -398,7 +398,7 @@ class SetAside(Record):
 class Campaign:
     """One unit, its equipment and its runs.
 
-    `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
+    `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty if the
     campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
     inputs, as a ratio; None for the default.  `set_aside` are readings that a model has taken out of its runs.
     `labels` are what the campaign states of its unit or its making that may distinguish units, such as the lot.

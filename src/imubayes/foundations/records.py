@@ -57,7 +57,7 @@ def headline_of(record: object) -> str:
 
 @singledispatch
 def html_of(record: object) -> str | None:
-    """Return a record as HTML for a notebook; None where it has none."""
+    """Return a record as HTML for a notebook; None if it has none."""
     return None
 
 

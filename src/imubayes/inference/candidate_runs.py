@@ -40,7 +40,7 @@ class TemperatureProfile(Record):
     ----------
     covariate : name of the temperature.
     form : up once (``ramp``), or up, held, and down three times slower (``cycle``).
-    hours : duration; None where it is free.
+    hours : duration; None if it is free.
     """
 
     covariate: str
@@ -210,7 +210,7 @@ def _empty_run(
 
 
 def _usual(key: str, campaign: Campaign) -> str | None:
-    """Return the thermometer that most runs name, under one of its keys; None where no run does."""
+    """Return the thermometer that most runs name, under one of its keys; None if no run does."""
     named = Counter(filter(None, (getattr(run, key) for run in campaign.runs)))
     return named.most_common(1)[0][0] if named else None
 
@@ -224,7 +224,7 @@ def _usual_temperatures(campaign: Campaign) -> dict[str, float]:
 
 
 def _next_day(campaign: Campaign) -> str | None:
-    """Return the day after the last run; None where no run has a date."""
+    """Return the day after the last run; None if no run has a date."""
     dates = [instant(run.start) for run in campaign.runs if run.start]
     return (max(dates) + timedelta(days=1)).isoformat() if dates else None
 

@@ -175,8 +175,8 @@ class ImplausibleEstimate(Record):
     ----------
     reason : outside the domain of the parameter, or far from its prior.
     name, unit, value : of the parameter, the value being that of the posterior mode.
-    lowest, highest : ends of the domain in the unit; None where the reason is another.
-    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
+    lowest, highest : ends of the domain in the unit; None if the reason is another.
+    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None if it has none.
     distance : of the estimate from the middle of the prior, in its standard deviations.
     """
 
@@ -216,7 +216,7 @@ class PriorConflict(Record):
     Attributes
     ----------
     name, unit, effect, parameter : of the parameter.
-    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
+    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None if it has none.
     value, sd : posterior mode and standard deviation, in the unit.
     data_value, data_sd : what the data alone ask for, in the unit.
     distance : between prior and data, in standard deviations of their difference.

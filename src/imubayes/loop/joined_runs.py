@@ -175,7 +175,7 @@ def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
     equipment = [*campaign.tables, *campaign.mountings, *campaign.thermometers]
     refuse(
         Issue(
-            f"'{name}' is no table, mounting or thermometer of the campaign",
+            f"'{name}' is not a table, mounting or thermometer of the campaign",
             "--changed",
             closest_first(name, equipment),
             "name tables, mountings and thermometers of the new runs",

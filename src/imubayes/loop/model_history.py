@@ -60,7 +60,7 @@ _MOST_NAMED = 3
 
 
 class ChiSquareDrop(Record):
-    """Δχ² of a change at the noise scales of its parent, negative where χ² rises; None where unknown."""
+    """Δχ² of a change at the noise scales of its parent, negative if χ² rises; None if unknown."""
 
     predicted: float | None = None
     observed: float | None = None
@@ -76,11 +76,11 @@ class Node(Record):
     parent : folder of the model it was made from, relative to its own; None for the first.
     added, removed : effects that it has more and less than its parent.
     priors, aside : parameters with another prior than in its parent, and runs with other readings set aside.
-    verdict : of the diagnosis that led here; None where there was none.
+    verdict : of the diagnosis that led here; None if there was none.
     chi2, dof, rms : χ², its degrees of freedom and the residual rms of each channel, at the noise known beforehand.
     offsets_moved : the channels whose residual rms rose because the offsets of runs moved into it.
     delta_chi2 : against its parent.
-    held_out : cross-validation against its parent; None where there was none.
+    held_out : cross-validation against its parent; None if there was none.
     data_hash, model_hash, seed : what was fitted.
     taken, message : whether the fit may be used, and why not.
     selected : whether this is the model that counts, as its tree says; not kept in the file.
@@ -123,7 +123,7 @@ class Node(Record):
 
     @property
     def chi2_per_dof(self) -> float | None:
-        """χ² per degree of freedom; None where the fit was not taken."""
+        """χ² per degree of freedom; None if the fit was not taken."""
         return self.chi2 / self.dof if self.chi2 is not None and self.dof else None
 
 
@@ -139,7 +139,7 @@ class Tree(Presented):
     Attributes
     ----------
     nodes : place (a folder) → node.
-    parents : place → place of its parent, None where that is not at hand.
+    parents : place → place of its parent, None if that is not available.
     """
 
     nodes: Mapping[str, Node]
@@ -209,7 +209,7 @@ def removal_log_odds(found: Evidence, removed: Collection[str], kept: Collection
 
     Returns
     -------
-    None where the likeliest explanation does not name them all.
+    None if the most probable explanation does not name them all.
     """
     total, told = 0.0, set()
     for slot in found.slots:

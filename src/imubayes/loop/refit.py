@@ -32,7 +32,7 @@ class Prediction(Record):
 
     Attributes
     ----------
-    delta_chi2 : drop at the noise known beforehand, negative where χ² rises; None where noise itself is changed.
+    delta_chi2 : drop at the noise known beforehand, negative if χ² rises; None if noise itself is changed.
     coefficients : of effects added: those of the diagnosis, where it estimated the same; by the linear model elsewhere,
         several effects together.
     """
@@ -54,8 +54,8 @@ class Refit:
     change : the changed model before its fit, with the prediction.
     fit : the refit.
     delta_chi2 : observed drop, at the noise scales of the fit before; NaN where the refit did not converge.
-    objection : why the refit is not taken; empty where nothing speaks against it.
-    held_out : cross-validation; None where there was none.
+    objection : why the refit is not taken; empty if nothing speaks against it.
+    held_out : cross-validation; None if there was none.
     predicted : what was predicted.
     """
 
@@ -111,7 +111,7 @@ def refit_changed(
 def _predicted_drop(before: Fit, change: ChangedModel) -> float | None:
     """Return the drop of χ² at the noise known beforehand, the models linear about the fit and the start of the refit.
 
-    None where the noise has other scales.
+    None if the noise has other scales.
     """
     if change.model.hyper_layout.names != before.model.hyper_layout.names:
         return None

@@ -87,7 +87,7 @@ class UncertainEquipment(Record):
 
 @dataclass(frozen=True)
 class PriorCorrelation:
-    """Correlation of the priors of noise parameters, of their logarithms where these are lognormal.
+    """Correlation of the priors of noise parameters, of their logarithms if these are lognormal.
 
     Attributes
     ----------

@@ -212,7 +212,7 @@ class TailNoise(Noise):
 class WhiteNoise(EntryNoise):
     """Independent noise: variance σ²/n of a mean of n samples.
 
-    σ is judged by the scatter of the rows about the model, not by the scatter within a row, which would miss what is
+    σ is judged by the scatter of the rows about the model, not by the scatter within a row, which would miss noise
     slower than a row.
     """
 
@@ -230,8 +230,8 @@ class WhiteNoise(EntryNoise):
 class RateProportionalNoise(EntryNoise):
     """Variance (k·|Ω|)² of a row, Ω the nominal table rate along the input axis.
 
-    What makes a row at high rate less repeatable (table rate instability, scale factor instability) lasts as long as
-    the row: it does not average over the row's samples.
+    The causes that make a row at high rate less repeatable (instability of the table rate or the scale factor) last as
+    long as the row: they do not average over its samples.
     """
 
     name = "rate_proportional_noise"
@@ -273,8 +273,8 @@ class EncoderNoise(EntryNoise):
     """Noise of the angles that bound a row between levels: variance 2 (k σ/T)², k the scale along the table axis.
 
     The mean rate of such a row of length T is the difference of two angles over T (errors in variables), of an encoder
-    or, for a turn from rest to rest, of marks.  A row between levels shares an angle with each of its neighbours; the
-    correlations of −1/2 are neglected, so that what is slow is overstated.
+    or, for a turn from rest to rest, of marks. A row between levels shares an angle with each of its neighbours; the
+    correlations of −1/2 are neglected, so that slow noise is overstated.
     """
 
     name = "encoder_noise"
@@ -443,7 +443,7 @@ class PulseQuantisation(SlowNoise):
     """Variance 2Q²/T² of a row of T s, covariance −Q²/(T₁T₂) of rows that follow one another without a gap.
 
     The output counts pulses: their sum, an angle or a velocity, errs by white noise of standard deviation Q at the ends
-    of a row (a twelfth of the squared weight of a pulse is Q²), and what one row lacks the next one has.
+    of a row (a twelfth of the squared weight of a pulse is Q²), and errors of successive rows are opposite.
     """
 
     name = "pulse_quantisation"

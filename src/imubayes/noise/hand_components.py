@@ -11,7 +11,8 @@ from imubayes.parameters.declarations import parameter
 class RotationClosure(EntryNoise):
     """Variance σ² of each component of the closing rotation of a free tumble: angle random walk, bandwidth, timing.
 
-    The closing rotation is what remains when the gyros propagate the attitude from one pose to the next.
+    The closing rotation is the difference between the attitude of a pose and the attitude that the gyros propagate to
+    it from the pose before.
     """
 
     name = "rotation_closure"
@@ -53,8 +54,8 @@ class CarriedClosure(EntryNoise):
 class HandAcceleration(EntryNoise):
     """Acceleration of the hand, the drill or the wheel that carries the unit: variance σ² of a row in motion.
 
-    It is stated as a specific force, whatever the number of samples: what a row averages of it is independent of how
-    densely it was sampled.
+    It is stated as a specific force, whatever the number of samples: its mean over a row does not depend on the
+    sampling rate.
     """
 
     name = "hand_acceleration"
@@ -76,10 +77,10 @@ class HandAcceleration(EntryNoise):
 class HandVelocity(SlowNoise):
     """Variance 2 v²/T² of a row of T s in motion, covariance −v²/(T₁T₂) of rows that follow one another.
 
-    The mean acceleration of a hand, a drill or a wheel over a row is the change of its velocity over T.  Velocities of
-    standard deviation v at the ends of rows are bounded: what one row has too much the next one lacks.  In body axes
-    this holds as well, since rows that follow share the velocity in between; what the turning of the body leaves over
-    is `hand_acceleration`.
+    The mean acceleration of a hand, a drill or a wheel over a row is the change of its velocity over T. The velocities
+    at the ends of rows have the standard deviation v, so that the errors of successive rows are opposite. This holds in
+    body axes as well, because successive rows share the velocity between them; the remainder due to the rotation of the
+    body is `hand_acceleration`.
     """
 
     name = "hand_velocity"

@@ -1,8 +1,8 @@
 """Precision centrifuge: constant rates of the arm, with the unit fixed to it or on a counter-rotating platform.
 
 The arm is the outer axis; the unit sits at its radius R along x of the arm's frame, on a platform whose axis is the
-inner one.  Specific force is −Ω²R along x and gravity.  A fixed platform has `table_rate_deg_s` 0; one that turns
-against the arm holds the unit's attitude to the Earth, and `table_angle_deg` is its angle where the arm is at 0.
+inner one. Specific force is −Ω²R along x and gravity. A fixed platform has `table_rate_deg_s` 0; one that turns against
+the arm holds the unit's attitude to the Earth, and `table_angle_deg` is its angle when the arm is at 0.
 
 The textbook fits a polynomial over the levels of all rows of a temperature: for an accelerometer
 

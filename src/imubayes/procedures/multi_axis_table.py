@@ -1,7 +1,7 @@
 """Table of two or three axes: static positions and rates about its axes, one at a time or several together.
 
-The outer axis carries the middle one, that the inner one, and that the unit; their directions stand in the table's
-entry.  `table_rate_deg_s` and `table_angle_deg` are those of the inner axis.
+The outer axis carries the middle one, that the inner one, and that the unit; the entry of the table states their
+directions. `table_rate_deg_s` and `table_angle_deg` are those of the inner axis.
 
 The textbook evaluates all rows of a temperature together, in any mounting: accelerometers in the static rows, by least
 squares with the terms that the positions separate (24 positions, IEEE Std 1293 and 1554), gyros in all rows, the Earth

@@ -1,9 +1,8 @@
 """Comparison with a reference gyro: the table need not hold a constant rate (P9).
 
-The reference gyro turns with the unit and measures the inertial rate in body axes, including the Earth rate.  Its
-output is used as the true rate: its noise is `reference_noise`; its scale factor, bias, alignment and time delay are
-effects, and what its certificate says of them are their priors in the model file.  The table gives the attitude to
-gravity.
+The reference gyro turns with the unit and measures the inertial rate in body axes, including the Earth rate. Its output
+is used as the true rate: its noise is `reference_noise`; its scale factor, bias, alignment and time delay are effects,
+and its certificate states their priors, which belong in the model file. The table gives the attitude to gravity.
 
 The textbook matches the speeds of forward and reverse rotation.  Both reach a speed v of the table, each at an instant
 of its own; between two rows speed and output are taken as linear.  There, with the outputs E₊ and E₋ of a channel and

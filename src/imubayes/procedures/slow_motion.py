@@ -1,15 +1,15 @@
 """Slow motion: a unit that is waved through all attitudes and never rests.
 
-Every window of the log is a weak pose: the mean force is gravity, plus what the hand accelerates.  The gyros carry the
-attitude from window to window, so that gravity is one vector in all of them, and not of one magnitude alone: this
-determines biases, scale factors and misalignments of accelerometers and gyros.  The acceleration of the hand is noise
-(`hand_acceleration`, `hand_velocity`): it is estimated, and stated with the result.
+Every window of the log is a weak pose: the mean force is gravity plus the acceleration of the hand. The gyros carry the
+attitude from window to window, so that gravity is known to be the same vector in all of them, and not only of the same
+magnitude. This determines biases, scale factors and misalignments of accelerometers and gyros. The acceleration of the
+hand is noise (`hand_acceleration`, `hand_velocity`): it is estimated, and stated with the result.
 
-Accelerometers alone are calibrated by |f| = g: each window is a pose of unknown attitude, and what the hand accelerates
-is the scatter of |f|.
+Accelerometers alone are calibrated by |f| = g: each window is a pose of unknown attitude, and the acceleration of the
+hand is the scatter of |f|.
 
-The textbook estimate is that of a multi-position test, an ellipsoid fitted to |f| = g, which takes the acceleration of
-the hand for none.
+The textbook estimate is that of a multi-position test, an ellipsoid fitted to |f| = g, which neglects the acceleration
+of the hand.
 """
 
 from collections.abc import Sequence

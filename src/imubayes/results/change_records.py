@@ -101,7 +101,7 @@ class RunRmsChange(Record):
 
 
 class BeforeAfter(Record):
-    """A number of the fit before and after a change; None where it is unknown, or the refit is not taken."""
+    """A number of the fit before and after a change; None if it is unknown, or the refit is not taken."""
 
     before: float | None
     after: float | None
@@ -112,7 +112,7 @@ class Observation(Record):
 
     Attributes
     ----------
-    delta_chi2 : drop at the noise known beforehand; of changed noise, 2 Δ ln L; None where other readings were fitted.
+    delta_chi2 : drop at the noise known beforehand; of changed noise, 2 Δ ln L; None if other readings were fitted.
     coefficients : the new parameters.
     """
 
@@ -132,14 +132,14 @@ class ModelChange(Presented, Record):
     taken, message : whether the refit converged and is no worse than the fit before, and why not.
     predicted, observed : Δχ² and coefficients before and after the refit.
     prior_conflicts : new parameters whose prior disagrees with the data.
-    held_out : cross-validation; None where there was none.
-    runs : residual rms of the fits in input units; empty where the refit is not taken.
+    held_out : cross-validation; None if there was none.
+    runs : residual rms of the fits in input units; empty if the refit is not taken.
     channels : the same at the noise known beforehand, offsets of runs included.
-    moved : estimates that both fits have, those that moved most first; empty where the refit is not taken.
+    moved : estimates that both fits have, those that moved most first; empty if the refit is not taken.
     undistinguished : of the effects added, those that the data do not distinguish.
-    log_odds : ln odds of the effects removed, by the diagnosis that led to adding them; None where that is not at hand.
+    log_odds : ln odds of the effects removed, by the diagnosis that led to adding them; None if that is not available.
     offsets_moved : channels whose rms rose only because the new effect no longer takes up the offsets of their runs.
-    parent, folder : result folders before and after; None where there are none.
+    parent, folder : result folders before and after; None if there are none.
 
     Examples
     --------
@@ -325,7 +325,7 @@ def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
 
 
 def _drop(refit: Refit, before: Summary, after: Summary) -> float | None:
-    """Return the observed drop of χ² (see `Observation`); None where the readings differ."""
+    """Return the observed drop of χ² (see `Observation`); None if the readings differ."""
     if refit.fit.model.campaign.set_aside != refit.before.model.campaign.set_aside:
         return None
     same = refit.fit.model.hyper_layout.names == refit.before.model.hyper_layout.names
@@ -388,7 +388,7 @@ def write_diagnosis(folder: Path, diagnosis: Diagnosis, identity: str = "") -> N
 
 
 def read_diagnosis(folder: Path) -> Diagnosis | None:
-    """Return the diagnosis that a result folder holds; None where there is none of this version.
+    """Return the diagnosis that a result folder holds; None if there is none of this version.
 
     Raises
     ------

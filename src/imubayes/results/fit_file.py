@@ -85,7 +85,7 @@ def read_fit(folder: str | Path) -> Fit:
         raise input_error(
             f"the campaign '{found.name}' is no longer the one that was fitted",
             found.folder or f"{folder / FIT}, key 'data_hash'",
-            "the files as they were: the fit belongs to their every byte, campaign.toml included",
+            "the files exactly as they were fitted, campaign.toml included",
             "restore the campaign, or fit it as it is now: `imubayes fit CAMPAIGN --model "
             f"{folder / MODEL} --out FOLDER`",
         )

@@ -155,7 +155,7 @@ class Manifest(Record):
     ----------
     fit : files written with the fit.
     added : files that other commands made of it.
-    selection : the highest of the models of a history is the selected one; 0 where it never was.
+    selection : the highest of the models of a history is the selected one; 0 if it never was.
     """
 
     format: Literal[1] = 1
@@ -207,7 +207,7 @@ def _settled(folder: Path, faults: Callable[[Manifest], list[Issue]]) -> Manifes
 
 
 def added(folder: Path, name: str) -> Path | None:
-    """Return a file that another command made of the fit; None where there is none.
+    """Return a file that another command made of the fit; None if there is none.
 
     Raises
     ------
@@ -295,7 +295,7 @@ def _faults(folder: Path, listed: Iterable[KeptFile], remedy: str) -> list[Issue
 
 
 def _fault(folder: Path, listed: KeptFile, remedy: str) -> Issue | None:
-    """Return what is wrong with a listed file; None where it is as listed."""
+    """Return what is wrong with a listed file; None if it is as listed."""
     file = folder / listed.name
     try:
         found = file.stat()

@@ -60,7 +60,7 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
                 "the folder holds a sampling that was interrupted",
                 str(folder / CHECKPOINT),
                 "the same fit with --resume, which continues it",
-                f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
+                f"add --resume; to start again choose another --out, or remove {folder / CHECKPOINT}",
             )
         if not (resume or replace) and (folder / POSTERIOR).is_file() and _sampled(folder):
             raise input_error(

@@ -19,7 +19,7 @@ from imubayes.results.folder_files import AGAIN, FIT, HISTORY, checked, mark_sel
 
 
 class CampaignPlaces(Record):
-    """Folder of a campaign as given, whole, and as seen from the result; None where it has none."""
+    """Folder of a campaign as given, whole, and as seen from the result; None if it has none."""
 
     given: str | None = None
     absolute: str | None = None
@@ -71,7 +71,7 @@ def refuse_other_data(folder: str | Path, campaign: Campaign) -> None:
 
 
 def campaign_of(folder: str | Path) -> Campaign | None:
-    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
+    """Return the campaign of a result folder, read again; None if it is gone or no longer what was fit."""
     try:
         record = read_fit_record(folder)
         found = load_campaign(_folder(record.campaign, Path(folder)), judge_setup=False)

@@ -65,8 +65,8 @@ class FitProvenance(Record):
 
     Attributes
     ----------
-    serial : serial number of the unit; empty where the campaign states none.
-    first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None where no run states one.
+    serial : serial number of the unit; empty if the campaign states none.
+    first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None if no run states one.
     fitted : when the fit was made, ISO 8601 in UTC.
     data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
     seed : of the sampler.
@@ -93,7 +93,7 @@ class Quantity(Record):
     name, unit : as in the summary, ``scale_factor[gx]`` in ``pulse/s per deg/s``.
     mean, sd : posterior mean and standard deviation.
     q025, q975 : ends of the 95 % equal-tailed credible interval.
-    prior_sd : prior standard deviation, None where it is infinite.
+    prior_sd : prior standard deviation, None if it is infinite.
     from_data : 1 − (posterior sd / prior sd)², the share of the information contributed by the data.
     """
 
@@ -217,7 +217,7 @@ class Summary(Record):
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
     noise_contradicted : comparisons of the noise scales that contradict the knowledge of them, the clearest first.
-    known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None where
+    known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None if
         the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
@@ -267,7 +267,7 @@ class Summary(Record):
 
     @property
     def delta_k_threshold(self) -> float | None:
-        """The threshold of Δk in percent; None where the fit has no Δk."""
+        """The threshold of Δk in percent; None if the fit has no Δk."""
         return next((each.within.threshold for each in self.derived if each.within is not None), None)
 
 

@@ -188,7 +188,7 @@ def _head_or_error(file: Path) -> campaign_file.ArchivedCampaign | InputError:
 
 def _misplaced(head: campaign_file.ArchivedCampaign, expected: Path) -> Issue:
     return Issue(
-        f"the file of campaign '{head.name}' of unit '{head.unit}' is not in its place",
+        f"the file of campaign '{head.name}' of unit '{head.unit}' is missing from its folder",
         str(head.file),
         str(expected),
         "move the file there, or pack the campaign again",

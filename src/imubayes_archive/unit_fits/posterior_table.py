@@ -28,7 +28,7 @@ from imubayes.results.folder_files import unbroken
 
 PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"
-_AGAIN = "remove that folder and run the same `imubayes batch` command again, which makes it anew"
+_AGAIN = "remove that folder and run the same `imubayes batch` command again, which creates it again"
 _ORDER = ["unit", "date", "digest"]
 _ESTIMATES = ("names", "mean", "covariance")
 _LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")

@@ -74,7 +74,7 @@ function size(value, unit) {
 
 function commands(panel) {
   const own = told.session?.commands ?? [];
-  fill(panel, el("p", { class: "quiet" }, "What was clicked, as commands: page and command line go through the same functions and folders."),
+  fill(panel, el("p", { class: "quiet" }, "Your steps as commands: page and command line use the same functions and folders."),
     el("pre", { id: "commands", tabindex: "0" }, own.join("\n")),
     told.facts?.command ? el("p", { class: "aside" }, "Next, by the diagnosis: ", el("code", {}, told.facts.command)) : null);
 }
@@ -83,7 +83,7 @@ export function asideDialog(dialog, count, keep) {
   const reason = el("input", { id: "reason", size: "50", maxlength: "400", required: true });
   fill(dialog, el("form", { method: "dialog", onsubmit: () => keep(reason.value) },
     el("h2", { id: "dialog-title" }, `Set ${count} readings aside`),
-    el("p", { class: "quiet" }, "A branch of the tree is fitted without them. Their files stay as they are, the reason stands in the model, and they can be taken back."),
+    el("p", { class: "quiet" }, "A branch of the tree is fitted without them. Their files are not changed, the model states the reason, and they can be taken back."),
     el("p", {}, el("label", { for: "reason" }, "reason "), reason),
     el("div", { class: "row" }, el("button", { class: "main", id: "set-aside" }, "set aside, and refit"), el("button", { type: "button", onclick: () => dialog.close() }, "cancel"))));
   dialog.showModal();

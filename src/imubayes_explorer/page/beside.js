@@ -55,7 +55,7 @@ export class Beside {
     this.place.hidden = !view.beside;
     this.place.parentElement.className = view.beside ? `pair two ${other?.later ? "later" : ""}` : "pair";
     if (!view.beside) return;
-    this.title.textContent = other ? `residual ${other.title}` : told.before?.waiting ? "The model before is being opened." : "There is no model before this one: preview a cause to see its residuals here.";
+    this.title.textContent = other ? `residual ${other.title}` : told.before?.waiting ? "The previous model is being opened." : "There is no previous model: preview a cause to see its residuals here.";
     this.place.setAttribute("aria-label", other ? `Residuals of ${view.channel} ${other.title}: ${other.points.head.of} readings, on the same axes.` : this.title.textContent);
     this.chart.show(ranges, head.x_label, head.y_label);
   }

@@ -43,7 +43,7 @@ export function drawCauses(place, actions) {
 function weighing(facts) {
   if (kept) return el("p", { class: "aside quiet" }, "The page was saved before the explanations of this model were weighed.");
   return el("p", { class: "aside quiet", id: "weighing", role: "status" }, el("progress", { "aria-label": "weighing" }), " ", el("span", { id: "weighing-step" }, told.weighing || "waiting"), ". ",
-    facts.stage === "read" ? "Map and residuals do not wait for the causes." : "The diagnosis is there; previews and selections are ready shortly.");
+    facts.stage === "read" ? "Map and residuals do not wait for the causes." : "The diagnosis is available; previews and selections follow shortly.");
 }
 
 export function tellWeighing() {
@@ -129,7 +129,7 @@ function accept(actions, selection) {
     preview ? el("p", { id: "preview-sentence", role: "status" }, minus(preview.sentence)) : told.facts.stage !== "ready" ? null : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },
-      el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, title: "adds what is ticked; key a", onclick: actions.accept }, "add, and refit"),
+      el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, title: "adds the ticked causes; key a", onclick: actions.accept }, "add, and refit"),
       selection || told.facts.verdict === "unexplained_structure" ? el("button", { "data-key": "formula", id: "formula", onclick: () => actions.formula(view.channel) }, `formula of ${view.channel}`) : null,
       told.facts.named.length > 1 ? el("button", { "data-key": "tick-named", id: "tick-named", title: told.facts.named.join(", "), disabled: told.facts.stage !== "ready", onclick: () => show({ ticked: [...new Set([...view.ticked, ...told.facts.named])] }) }, `tick all ${told.facts.named.length} named`) : null,
       el("button", { "data-key": "untick", disabled: !ticked, onclick: () => show({ ticked: [] }) }, "untick")));

@@ -8,7 +8,7 @@ export function formulaDialog(dialog, channel, found, add) {
   fill(dialog, el("form", { method: "dialog" },
     el("h2", { id: "dialog-title" }, `Formula of what the model leaves of ${channel}`),
     el("p", {}, found.sentence), table, found.table?.note ? el("p", { class: "quiet" }, found.table.note) : null,
-    found.source ? el("p", { class: "quiet" }, "The effect that it becomes. Adding it writes this file beside the results, fits again, and tells by runs that were left out whether it predicts better.") : null,
+    found.source ? el("p", { class: "quiet" }, "The formula as an effect. Adding it writes this file beside the results, fits again, and shows by cross-validation whether it predicts runs that were left out better.") : null,
     found.source ? el("pre", { tabindex: "0" }, found.source) : null,
     el("div", { class: "row" },
       found.source ? el("button", { class: "main", id: "add-formula", onclick: add }, `add it on ${channel}, and refit`) : null,

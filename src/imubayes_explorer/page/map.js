@@ -21,7 +21,7 @@ export function drawMap(place) {
     const worst = Math.max(10, ...facts.cells.filter((cell) => cell.n).map((cell) => chi2Of(cell) / cell.n));
     drawn.cells.forEach(([cell, button], at) => paint(cell, button, expected ? expected[at] : null, worst));
     fill(drawn.scale, legend(worst));
-    fill(drawn.note, expected ? (told.preview.refitted ? "χ² of the refit." : "Dashed: expected with what is previewed.") : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add.");
+    fill(drawn.note, expected ? (told.preview.refitted ? "χ² of the refit." : "Dashed: expected with the preview.") : "Noise alone gives 1. Click a cell, a run or a channel to select it; hold ⇧ to add.");
     drawn.look = look;
   }
   drawn.cells.forEach(mark);

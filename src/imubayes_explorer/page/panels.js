@@ -73,7 +73,7 @@ export function drawControls(actions) {
     pick("colour", "colour", facts.labels.map(({ by }) => [by, by])),
     view.only.length || told.selection?.n ? el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs") : null,
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, title: "the residual after the preview; key p", onchange: (event) => show({ after: event.target.checked }) }), "after preview"),
-    el("label", {}, el("input", { type: "checkbox", "data-key": "beside", id: "side-by-side", checked: view.beside, title: "the residuals of the model before, or with the preview, on the same axes; key b", onchange: (event) => show({ beside: event.target.checked }) }), "side by side"),
+    el("label", {}, el("input", { type: "checkbox", "data-key": "beside", id: "side-by-side", checked: view.beside, title: "the residuals of the previous model, or with the preview, on the same axes; key b", onchange: (event) => show({ beside: event.target.checked }) }), "side by side"),
     el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
     view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null,
     ["svg", "png"].map((kind) => el("button", { class: "plain quiet", "data-key": kind, id: `picture-${kind}`, title: `the panels as ${kind.toUpperCase()}, key ${kind === "svg" ? "g" : "G"}`, onclick: () => actions.picture(kind) }, kind.toUpperCase())));
@@ -82,12 +82,12 @@ export function drawControls(actions) {
 // A shape is drawn over the residuals: points by dragging, or with arrow keys, the space bar and Enter.
 export function drawShape(done) {
   const { over } = residuals.plot, sheet = el("div", { class: "drawing", id: "drawing", tabindex: "0", role: "application",
-    "aria-label": "Draw a shape over the residuals: drag, or move with the arrow keys, set points with the space bar, end with Enter; Escape gives up." });
+    "aria-label": "Draw a shape over the residuals: drag, or move with the arrow keys, set points with the space bar, end with Enter; Escape cancels." });
   const line = document.createElementNS("http://www.w3.org/2000/svg", "svg"), way = document.createElementNS("http://www.w3.org/2000/svg", "path");
   const width = over.clientWidth, height = over.clientHeight, points = [];
   let at = [0, height / 2];
   line.append(way);
-  sheet.append(line, el("p", { class: "hint" }, "Drag the shape that you see; Escape gives up."));
+  sheet.append(line, el("p", { class: "hint" }, "Drag along the shape that you see; Escape cancels."));
   const draw = () => way.setAttribute("d", `${[...points].sort((one, other) => one[0] - other[0]).map(([x, y], n) => `${n ? "L" : "M"}${x} ${y}`).join("")}M${at[0] - 5} ${at[1]}h10m-5 -5v10`);
   const end = () => {
     sheet.remove();

@@ -23,14 +23,14 @@ setInterval(() => {
 export function drawTasks(place, actions) {
   const lines = [];
   if (told.lost) {
-    lines.push(el("div", {}, el("span", { class: "fault", role: "alert" }, "The server is gone. What was accepted is in its folders. Start `imubayes explore` again and open the address that it prints; this page keeps trying.")));
+    lines.push(el("div", {}, el("span", { class: "fault", role: "alert" }, "The server has stopped. Accepted results are in their folders. Start `imubayes explore` again and open the address that it prints; this page keeps trying.")));
   }
   const tasks = told.session?.tasks ?? [];
   // What a server that is gone was doing has ended with it.
   if (!told.lost) lines.push(...tasks.filter(atWork).map((task) => progress(task, actions)));
   if (told.session?.opened.some((each) => each.id === view.model && each.replaced)) {
-    lines.push(el("div", { id: "replaced" }, el("span", { class: "said", role: "alert" }, "The folder no longer holds the result that is shown: verdict, map, residuals and causes are those of the one before."),
-      el("button", { class: "main", id: "reload", "data-key": "reload", onclick: actions.reload }, "show what is in the folder now")));
+    lines.push(el("div", { id: "replaced" }, el("span", { class: "said", role: "alert" }, "The folder no longer contains the result that is shown: verdict, map, residuals and causes are those of the earlier result."),
+      el("button", { class: "main", id: "reload", "data-key": "reload", onclick: actions.reload }, "show the result that is in the folder now")));
   }
   const last = tasks.filter((task) => !atWork(task)).at(-1);
   if (last && last.number > told.dismissed) lines.push(ended(last));

@@ -3,15 +3,15 @@
 import { el, fill } from "./dom.js";
 
 const STEPS = [
-  ["top", "The verdict", "A model was fitted to all runs of the unit together. This sentence says whether it explains them, and the bars say how probable each kind of explanation is: nothing missing, other noise, effects that the model lacks, a wrong record, or a cause that nobody has listed."],
-  ["map", "Where the model fails", "Each cell is one channel of one run. The number is χ² per reading at the noise that was known before the fit: 1 is what noise alone makes. Bright cells are where something is left over."],
-  ["charts", "What is left over", "Above: measurement and model; they look alike, since what is missing is small. Below: measurement less model. Of pure noise 95 % of the points lie in the band, without a pattern. Choose what stands on the abscissa: a cause shows against what it depends on."],
-  ["residuals", "Ask about points", "Drag over residuals that look wrong, or click a cell of the map. The list at the right then answers for these readings: how probable is each cause of them, or that they are noise, or a cause of their own."],
-  ["causes", "Ranked causes", "Without a selection the list ranks all that could be missing, by its probability given all the data. Effects that these runs cannot tell apart stand together, with the run that would."],
-  ["causes", "Preview", "Point at a cause. The dashes in the panels are what it would explain; the map shows the χ² to be expected. No refit is made: the model is linear nearby. Tick several to see them together."],
-  ["below", "What it would do to the calibration", "The tab Estimates lists the scale factors, biases and angles that would move, with an arrow, in their standard uncertainties: what the missing effect biases now."],
-  ["causes", "Add it", "The button adds what is ticked and fits again. The points move to their new residuals at once, predicted and observed drop of χ² are compared; when the fit is done, runs that were left out tell whether the addition predicts better."],
-  ["below", "Nothing is lost", "Every model tried stands in the tree, in a folder of its own. Undo goes back to the one before; the selected one is exported. The tab Commands has what was clicked as a script."],
+  ["top", "The verdict", "A model was fitted to all runs of the unit together. This sentence says whether it explains them, and the bars say how probable each kind of explanation is: nothing missing, other noise, effects that the model lacks, a wrong record, or a cause outside the catalogue."],
+  ["map", "Where the model fails", "Each cell is one channel of one run. The number is χ² per reading at the noise known beforehand: noise alone gives 1. Bright cells show where the model fails."],
+  ["charts", "The residual", "Above: measurement and model; they look alike, since the residual is small. Below: measurement minus model. If the residual is pure noise, 95 % of the points lie in the band, without a pattern. Choose the abscissa: a cause shows a pattern against the quantity on which it depends."],
+  ["residuals", "Ask about points", "Drag over residuals that look wrong, or click a cell of the map. The list on the right then refers to these readings: it gives the probability of each cause, of noise alone, and of a cause that affects only these readings."],
+  ["causes", "Ranked causes", "Without a selection, the list ranks all missing effects by their probability given all data. Effects that these runs cannot distinguish form a group, with the run that would distinguish them."],
+  ["causes", "Preview", "Point at a cause. The dashed lines in the panels show the part of the residual that it would explain; the map shows the expected χ². Nothing is fitted again: the model is linearised at the fit. Tick several causes to see them together."],
+  ["below", "Its effect on the calibration", "The tab Estimates lists the scale factors, biases and angles that would change, with an arrow, in units of their standard uncertainties. The missing effect biases these estimates now."],
+  ["causes", "Add it", "The button adds the ticked causes and fits again. The points move to their predicted residuals at once. After the fit, the predicted and observed drops of χ² are compared, and cross-validation shows whether the addition predicts runs that were left out better."],
+  ["below", "Nothing is lost", "Every model tried is in the tree, and has its own folder. Undo returns to the previous model; the selected one is exported. The tab Commands shows your steps as a script."],
 ];
 
 export function tour(dialog, at = 0) {

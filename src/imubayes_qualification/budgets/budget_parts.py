@@ -13,7 +13,7 @@ up to the posterior variance exactly.  A prior that becomes exact, or noise that
 other inputs too; what is then left follows from updates of C.
 
 The posterior variance itself is found by control variates (`imubayes.inference.posterior_variance`).
-The slope of q on u, 1 where q is linear, holds what odd orders add to the linear part (statistical linearisation).
+The slope of q on u, 1 if q is linear, holds what odd orders add to the linear part (statistical linearisation).
 What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
 and the length of a vector, say, bends otherwise than they do.
 """
@@ -130,7 +130,7 @@ class BudgetLine(Record):
     kind : the noise of a run; a prior; priors of one effect taken together; a parameter that the model takes as
         ``exact`` and the report does not; the noise scales, which are not known exactly; the second-order part; all
         contributions too small for a line of their own; what the capability of the laboratory (CMC) is larger by.
-    input : run, parameter or effect; empty where `kind` says all.
+    input : run, parameter or effect; empty if `kind` says all.
     type : A from the data, B from a prior; None for the second-order part and for small contributions of both types.
     source : what a prior is about.
     group : procedure of a run.
@@ -174,7 +174,7 @@ class NarrowingRun(Record):
 
     Attributes
     ----------
-    run : as designed; None where it repeats a run of the campaign.
+    run : as designed; None if it repeats a run of the campaign.
     repeats : that run.
     """
 
@@ -196,8 +196,8 @@ class QuantityBudget(Record):
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
     interval : kind of the 95 % coverage interval.
     coverage_factor, expanded_uncertainty : U, half the length of that interval, and k = U/u.
-    halved : what u would be if one contribution were halved, the most useful first.
-    next_run : the run that would narrow the quantity most; None where none narrows it by a hundredth.
+    halved : u if one contribution were halved, the most useful first.
+    next_run : the run that would narrow the quantity most; None if none narrows it by a hundredth.
     """
 
     name: str

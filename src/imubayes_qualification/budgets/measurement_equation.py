@@ -271,7 +271,7 @@ def formula(
     options: Mapping[str, float],
     memory: Expression | None = None,
 ) -> Expression | None:
-    """Return the signal after an effect, from its code; None where its arithmetic has no form here.
+    """Return the signal after an effect, from its code; None if its arithmetic has no form here.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class DigitalUnit(Record):
 
 
 def digital_unit(unit: str, gravity: float, output: str = "") -> DigitalUnit | None:
-    """Return a unit of the report in D-SI; None where it contains a free text that D-SI does not know.
+    """Return a unit of the report in D-SI; None if it contains a free text that D-SI does not know.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class StandardQuantity:
     term : what it multiplies in the model equation, or its definition.
     sources : ways to compute it; the first that a result allows is taken.
     effects : which a model needs for it.
-    family : of the parameters that it is, channel by channel; empty where it is computed of them.
+    family : of the parameters that it is, channel by channel; empty if it is computed of them.
     """
 
     key: str
@@ -439,7 +439,7 @@ def _symbols() -> dict[str, str]:
 
 
 def draws_of_standard(quantity: StandardQuantity, unit: UnitUnderTest) -> list[StandardDraws]:
-    """Return the draws of a quantity, one entry per channel or pair of channels; none where the result lacks it."""
+    """Return the draws of a quantity, one entry per channel or pair of channels; none if the result lacks it."""
     for source in quantity.sources:
         found = [each for channel in unit.channels if channel.kind == quantity.kind for each in source(unit, channel)]
         if found:

@@ -65,11 +65,11 @@ class ExactInput(UncertainEquipment):
     shifts: tuple[QuantityShift, ...]
 
     def shift(self, name: str) -> float:
-        """Return what one standard deviation does to a quantity, in its unit; 0 where that does not matter."""
+        """Return what one standard deviation does to a quantity, in its unit; 0 if that does not matter."""
         return next((each.value for each in self.shifts if each.name == name), 0.0)
 
     def sensitivity(self, name: str) -> float:
-        """Return what an error of one unit does to a quantity, in its unit per `unit`; 0 where that does not matter."""
+        """Return what an error of one unit does to a quantity, in its unit per `unit`; 0 if that does not matter."""
         return self.shift(name) / self.left
 
 
@@ -98,7 +98,7 @@ class TakenAsExact(Record):
     ----------
     inputs : the parameters that matter to some quantity.
     unstated : of the quantities that it matters to, the standard deviation by all parameters together that are not
-        included; two of the same response, of which the data tell the sum, do less together than each by itself.
+        included; two of the same response, of which the data determine the sum, do less together than each by itself.
     jointly : the same with its correlation, of the quantities that a value at another temperature is made of.
     """
 

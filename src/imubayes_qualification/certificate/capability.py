@@ -74,7 +74,7 @@ def with_capability(
         floors[name] = max(limit.tolerance.upper, floors.get(name, 0.0))
     if lengths := floors.keys() & unit.lengths.keys():
         ledger.add(
-            f"'{min(lengths)}' is the length of a vector, of which no smallest uncertainty can be stated", _PATH,
+            f"'{min(lengths)}' is the length of a vector, for which a smallest uncertainty cannot be stated", _PATH,
             "its components", "name the components, such as gyro_misalignment.toward_o",
         )  # fmt: skip
         ledger.stop_if_any()

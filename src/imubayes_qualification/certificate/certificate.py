@@ -140,13 +140,13 @@ class CertifiedItem(_CertificatePart):
 
 
 class MeasurementStandard(_CertificatePart):
-    """A standard that was used, and what its traceability rests on."""
+    """A standard that was used, with its traceability."""
 
-    name: Identity = Field(description="what it is: rate table, dividing head, gravity, thermometer")
+    name: Identity = Field(description="kind of standard: rate table, dividing head, gravity, thermometer")
     equipment: tuple[Text, ...] = Field(
         default=(),
-        description="that it is or traces: tables and thermometers by name, reference_gyro, current_injection, "
-        "gravity, temperature, converter_temperature, time, vibration, meter",
+        description="equipment that this standard is, or to which it gives traceability: tables and thermometers by "
+        "name, reference_gyro, current_injection, gravity, temperature, converter_temperature, time, vibration, meter",
     )
     serial: Identity | None = Field(default=None, description="its serial number")
     certificate: Identity | None = Field(default=None, description="number of its calibration certificate")
@@ -195,7 +195,7 @@ class Amendment(_CertificatePart):
     changes: Text = Field(description="information that is changed")
     reason: Text | None = Field(default=None, description="of the change")
     replaces: bool = Field(
-        default=True, description="whether this is a complete new certificate in its place, and no amendment to it"
+        default=True, description="true for a complete new certificate that replaces it, false for an amendment"
     )
 
 
@@ -223,7 +223,7 @@ class Certificate(_CertificatePart):
     customer: Party = Field(default=Party(), description="for whom")
     order: Identity | None = Field(default=None, description="of the customer")
     item: CertifiedItem = Field(default=CertifiedItem(), description="what was calibrated")
-    location: Identity | None = Field(default=None, description="where the calibration was made")
+    location: Identity | None = Field(default=None, description="place of the calibration")
     method: Identity | None = Field(default=None, description="identification of the method")
     standard: tuple[MeasurementStandard, ...] = Field(default=(), description="standards that were used")
     cmc: tuple[CapabilityEntry, ...] = Field(default=(), description="capabilities: no U is stated smaller")
@@ -345,7 +345,7 @@ class EquipmentUsed:
 
 @dataclass(frozen=True)
 class Used:
-    """When equipment was used: start of the first and of the last run that did; None where no run states its start."""
+    """When equipment was used: start of the first and of the last run that did; None if no run states its start."""
 
     first: str | None = None
     last: str | None = None

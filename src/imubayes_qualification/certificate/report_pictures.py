@@ -38,7 +38,7 @@ class ErrorCurve(Record):
 
 
 class LimitCurve(Record):
-    """Limits of the error of one channel; None where there is none on that side."""
+    """Limits of the error of one channel; None if there is none on that side."""
 
     channel: str
     x: tuple[float, ...]
@@ -61,7 +61,7 @@ class ErrorPicture(Record):
     Attributes
     ----------
     abscissa, x_unit : rate along the input axis, angle of that axis above the horizontal, temperature, table angle.
-    curves : error of the unit with its nominal constants, in `unit`; none where only residuals are shown.
+    curves : error of the unit with its nominal constants, in `unit`; none if only residuals are shown.
     limits : from the specification.
     residuals : standardised.
     """
@@ -123,7 +123,7 @@ class AngleDensity(Record):
 
 
 class PictureData(Record):
-    """Everything that is drawn and stands in no table."""
+    """The numbers of all drawings that are in no table."""
 
     errors: tuple[ErrorPicture, ...] = ()
     worst: WorstResidual | None = None
@@ -216,7 +216,7 @@ def _drawn(
 
 
 def _over_input(unit: TestedUnit, channel: Channel, limits: Sequence[ConformityOfQuantity]) -> _Drawn | None:
-    """Return the error of a gyro over rate, of an accelerometer over angle; None where the model has none."""
+    """Return the error of a gyro over rate, of an accelerometer over angle; None if the model has none."""
     low, high = unit.input_range(channel.name) if channel.kind == "gyro" else (-90.0, 90.0)
     x = np.linspace(low, high, _CURVE)
     along = x if channel.kind == "gyro" else np.sin(np.radians(x))

@@ -38,7 +38,7 @@ class MonteCarloError(Record):
     Attributes
     ----------
     effective : number of independent draws that carry as much information.
-    digits : significant digits in which the uncertainties are stated; 0 where these errors leave none (JCGM 101, 7.9),
+    digits : significant digits in which the uncertainties are stated; 0 if these errors leave none (JCGM 101, 7.9),
         so that the number is withheld.
     tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit where the number is withheld.
     worst : what has the largest error.
@@ -63,14 +63,14 @@ class ReportedEstimate(Record):
     ----------
     name : of the parameter or derived quantity, or key and label of a quantity of the standards.
     estimate, standard_uncertainty : posterior mean and standard deviation.
-    low, high, prior_sd : ends of the coverage interval, prior standard deviation, None where infinite or unknown.
-    from_data : 1 − posterior variance / prior variance; None where it is unknown.
+    low, high, prior_sd : ends of the coverage interval, prior standard deviation, None if infinite or unknown.
+    from_data : 1 − posterior variance / prior variance; None if it is unknown.
     interval : kind of the coverage interval: y ± U, of equal tails, or the shortest.
     coverage_factor, expanded_uncertainty : k and U = k u, half the length of the interval.
     exact : whether nothing in the model changes it.
     measured : whether the data determine it: at least half of the information is theirs, and it is not exact.  What is
         not measured is not zero, whatever its estimate, and has no place among results.
-    withheld : why the number is not stated; None where it is.
+    withheld : why the number is not stated; None if it is.
     """
 
     name: str
@@ -146,7 +146,7 @@ class NotEstimated(NamedByStandard):
     reason : the model lacks the effects; the runs cannot show them; the runs lack what the definition needs; or the
         data do not determine it, so that only its prior is known.
     needs : covariates or conditions that the runs do not all supply.
-    from_data : share of the information that came from the data; None where there is none.
+    from_data : share of the information that came from the data; None if there is none.
     screened : what the diagnosis estimated of them without adding them, the most significant first.
     """
 
@@ -165,7 +165,7 @@ class MountingAngle(ReportedEstimate):
     ----------
     channel, mounting : which angle.
     nominal, deviation : nominal angle and estimate less nominal, deg.
-    evidence : by procedure; empty where the angle is too close to 0 to be linear in the parameters.
+    evidence : by procedure; empty if the angle is too close to 0 to be linear in the parameters.
     runs : in this mounting.
     """
 
@@ -182,7 +182,7 @@ class ReportedCombination(CombinedQuantities, ReportedEstimate):
 
     Attributes
     ----------
-    evidence : by procedure; empty where the campaign has one procedure, or where the combination is not linear.
+    evidence : by procedure; empty if the campaign has one procedure, or where the combination is not linear.
     procedures : of the campaign.
     """
 
@@ -195,7 +195,7 @@ class Probability(Record):
 
     Attributes
     ----------
-    value : from draws; None where it is withheld.
+    value : from draws; None if it is withheld.
     monte_carlo_error : standard error of `from_draws`.
     allowed : largest difference between the two methods.
     """
@@ -229,8 +229,8 @@ class LimitOutcome(Record):
     rule, guard_factor, guard_width, rule_probability : as applied.
     guard_band : width w; None for rules on probabilities.
     consumer_risk, producer_risk : specific risks; global ones where the production is known.
-    withheld : why there is no decision; None where there is one.
-    monte_carlo : errors of the estimate; None where it is exact.
+    withheld : why there is no decision; None if there is one.
+    monte_carlo : errors of the estimate; None if it is exact.
     omitted_ratio : factor by which what U omits would multiply it.
     """
 
@@ -312,12 +312,12 @@ class Adequacy(Record):
 
     Attributes
     ----------
-    verdict : of the diagnosis; None where the result was never diagnosed.
-    explanations : how probable each explanation of the data is; None where the result was never diagnosed.
+    verdict : of the diagnosis; None if the result was never diagnosed.
+    explanations : how probable each explanation of the data is; None if the result was never diagnosed.
     candidates : effects that were weighed.
     missing : effects that the diagnosis names.
     undetectable : effects that these runs cannot show.
-    most_biasing : what the worst of them would do to the estimates; None where that would not matter.
+    most_biasing : what the worst of them would do to the estimates; None if that would not matter.
     noise_violations : how the noise departs from its model.
     noise_suspected : how it may depart, although it may be chance.
     diagnoses : how often it was looked: diagnoses in the history of models, the last one included.
@@ -344,7 +344,7 @@ class Adequacy(Record):
 
 
 class ReportedConvergence(Record):
-    """Whether fit and sampling converged; numbers of the sampling are None where there was none.
+    """Whether fit and sampling converged; numbers of the sampling are None if there was none.
 
     Attributes
     ----------
@@ -395,7 +395,7 @@ class CoveredRange(Record):
 
 
 class StatisticalScope(Record):
-    """What the statistics rest on, and with that what they do not cover.
+    """The basis of the statistics, and the questions that they do not cover.
 
     Attributes
     ----------
@@ -403,7 +403,7 @@ class StatisticalScope(Record):
     first_start, last_start : of the runs.
     not_supplied : effect and what no run supplied for it.
     weak_directions : what the data did not determine.
-    from_priors : quantities of the result table of which the data say less than a tenth.
+    from_priors : quantities of the result table for which less than a tenth of the information came from the data.
     """
 
     ranges: tuple[CoveredRange, ...]
@@ -442,12 +442,12 @@ class QualificationReport(Record):
     Attributes
     ----------
     interval : what every interval is; its kind, symmetric, equal-tailed or shortest, stands with each.
-    conformity : None where no specification was given.
+    conformity : None if no specification was given.
     exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
-    budgets : None where the fit did not converge.
+    budgets : None if the fit did not converge.
     measurement : the equations of the model.
     pictures : what the pictures show, as numbers.
-    certificate : what the laboratory states; None where it states nothing.
+    certificate : what the laboratory states; None if it states nothing.
     missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
     floors : quantities whose U is the capability of the laboratory.
     unused_capabilities : quantities with a capability that the result does not have.

@@ -18,7 +18,7 @@ class ReportedChannel(Record):
 
 
 class ReportedTable(Record):
-    """A table with its stated standard uncertainties; None where the campaign states none, or no azimuth."""
+    """A table with its stated standard uncertainties; None if the campaign states none, or no azimuth."""
 
     name: str
     azimuth_deg: float | None
@@ -39,7 +39,7 @@ class ReportedMounting(Record):
 
 
 class ReportedThermometer(Record):
-    """A thermometer that runs share, with its stated standard uncertainties; None where the campaign states none."""
+    """A thermometer that runs share, with its stated standard uncertainties; None if the campaign states none."""
 
     name: str
     offset_uncertainty_degC: float | None
@@ -47,7 +47,7 @@ class ReportedThermometer(Record):
 
 
 class ReportedInstruments(Record):
-    """Stated standard uncertainties of other instruments, of their readings; None where the campaign states none."""
+    """Stated standard uncertainties of other instruments, of their readings; None if the campaign states none."""
 
     clock_uncertainty_ppm: float | None = None
     vibration_uncertainty_percent: float | None = None
@@ -77,7 +77,7 @@ class Subject(Record):
     ----------
     gravity_m_s2 : the unit g of this report.
     gravity_is_normal : whether it is that of the ellipsoid at latitude and height, not measured at the site.
-    gravity_uncertainty_ug : its standard uncertainty; None where the campaign states none.
+    gravity_uncertainty_ug : its standard uncertainty; None if the campaign states none.
     """
 
     serial: str

@@ -54,7 +54,7 @@ class RuleEntry(_SpecificationEntry):
 
 
 class ProductionEntry(_SpecificationEntry):
-    """Distribution of the true values of all units tested, in the unit of the limit: what a global risk is about."""
+    """Distribution of the true values of all units tested, in the unit of the limit; a global risk refers to it."""
 
     mean: float = Field(description="of the units produced")
     sd: Positive = Field(description="standard deviation among the units produced")
@@ -66,8 +66,8 @@ class LimitEntry(_SpecificationEntry):
     quantity: str = Field(
         min_length=1, description="name in the summary of a fit; without the labels in brackets, all of the family"
     )
-    lower: float | None = Field(default=None, description="limit; none where absent")
-    upper: float | None = Field(default=None, description="limit; none where absent")
+    lower: float | None = Field(default=None, description="limit; none if absent")
+    upper: float | None = Field(default=None, description="limit; none if absent")
     unit: str = Field(description="of the limits")
     nominal: float | None = Field(
         default=None, description="in the unit of the quantity; limits in ppm or % are deviations from it"

@@ -143,7 +143,7 @@ def _rule(
 def _production(stated: tuple[float, float]) -> rules.Production:
     if len(stated) != 2:
         allowed = "(mean, standard deviation) of the units tested"
-        raise input_error(f"{len(stated)} numbers are not a production", "production", allowed, "correct it")
+        raise input_error(f"{len(stated)} numbers do not describe a production", "production", allowed, "correct it")
     entry = _entry(ProductionEntry, mean=stated[0], sd=stated[1])
     return rules.Production(entry.mean, entry.sd)
 

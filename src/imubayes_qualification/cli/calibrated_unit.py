@@ -100,7 +100,7 @@ def _along_axes(
 
 
 def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> None:
-    """Write the carrier's rate and specific force, the table's measured rotation taken out, and a picture.
+    """Write rate and specific force of the carrier, without the measured rotation of the table, and a picture.
 
     Example: imubayes carrier data/rotation-modulation pyramid-forward --out carrier.csv
 
@@ -170,7 +170,7 @@ def export(
     noise
         noise.json of `imubayes noise` on a static record of the unit, for kalibr.
     noise_of_another_unit
-        Take the noise although the record is of another unit, or does not say of which.
+        Use the noise even if the record is of another unit, or does not name its unit.
     rate_hz
         Rate of the samples on board in Hz, for kalibr.
     topic

@@ -153,8 +153,8 @@ def carrier_sheet(found: CarrierEstimate, campaign: Campaign, run: Run) -> Sheet
             name = "rate" if kind == "gyro" else "specific force"
             nominal = f"{rest[kind][place]:.6g}" if abs(rest[kind][place]) > _ROUNDING else "0"
             rows.append(cells(f"{name} {axis}", value, sd, nominal, pretty(unit)))
-    taken = "Every fitted error is taken out; the sd contains noise, run offset and the uncertainty of the calibration."
-    note = taken if found.corrected else "As recorded, errors of the unit included; the sd is that of the noise alone."
+    taken = "Every fitted error is removed; sd contains noise, run offset and the uncertainty of the calibration."
+    note = taken if found.corrected else "As recorded, with the errors of the unit; sd contains the noise alone."
     head = ("mean over the run", "value", "sd", "carrier at rest", "unit")
     return Sheet(f"Motion of the carrier: {run.name}", head, rows, (0, 4), "", note)
 

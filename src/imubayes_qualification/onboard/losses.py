@@ -51,7 +51,7 @@ def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> Non
     of = f"unit {noise.serial}" if noise.serial else f"campaign {noise.campaign}, which states no serial number"
     mine = f"unit {campaign.serial}" if campaign.serial else f"campaign {campaign.name}, which states no serial number"
     raise input_error(
-        f"the noise record is of {of}, the constants are of {mine}", where, "a static record of the same unit",
+        f"the noise record is from {of}, the constants are of {mine}", where, "a static record of the same unit",
         "record this unit and run `imubayes noise` on it, or take the other's with --noise-of-another-unit",
     )  # fmt: skip
 

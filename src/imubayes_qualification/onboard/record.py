@@ -62,7 +62,7 @@ class UnexpressedEffect(Record):
     effect, channels, formula : as in the catalogue.
     cause : ``nonlinear`` in the input, with ``memory``, a ``limit``, or of a ``covariate`` that is not known.
     size, sd : largest error within the range of the campaign where it is left out, and its standard uncertainty, in
-        m/s² or rad/s; None where only the parameters tell.
+        m/s² or rad/s; None if only the parameters are known.
     parameters : with which it can be computed.
     """
 
@@ -91,7 +91,7 @@ class TriadConstants(Record):
     matrix : M, shape (3, C).
     bias : b(T), rad/s or m/s².
     gain : κ(T) − 1; no terms where the gain does not depend on temperature.
-    g_sensitivity : A, shape (3, 3), rad/s per m/s²; None where the model has none.
+    g_sensitivity : A, shape (3, 3), rad/s per m/s²; None if the model has none.
     input_range : largest magnitude of input in the campaign, rad/s or m/s².
     error_left : largest error of these constants against the model over that range, with all that is not expressed.
     sample_noise : standard deviation of one sample of each channel, r.
@@ -171,7 +171,7 @@ class OnboardConstants(Record):
     reference_degC : T_ref.
     ranges_degC : calibrated range of each temperature that the model depends on.
     interval, posterior : kind of interval, and of the draws it comes from.
-    intervals_valid : whether the noise is what the model assumes.
+    intervals_valid : whether the noise agrees with the model.
     constants : all constants of the triads with their uncertainties.
     covariance : of the constants, in their order and units.
     not_determined : constants that were not measured.

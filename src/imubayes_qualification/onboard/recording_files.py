@@ -177,7 +177,7 @@ def correct_recording(
     InputError
         where the fit did not converge, or the recording lacks channels or a temperature that the model depends on.
     """
-    tell("sizing the effects that are not corrected")
+    tell("estimating the effects that are not corrected")
     correction = correction_of(result, recording.header, recording.where)
     if missing := [name for name in correction.needs if not _given(name, recording)]:
         raise InputError(not_given(name, recording.where) for name in missing)

@@ -8,7 +8,8 @@ from imubayes_recordings.cli.noise import noise
 COMMANDS = (
     Command(
         "imubayes_recordings.cli.convert:new", "Data", -2, "new",
-        "Begin: a commented campaign of a recording, and a model with the effects that its runs can determine.\n\n"
+        "Begin: write a commented campaign of a recording, and a model with the effects that its runs can "
+        "determine.\n\n"
         "Example: imubayes new campaigns/desk imu.csv --gravity-m-s2 9.81",
     ),
     Command(

@@ -39,7 +39,7 @@ def capture(
     patience
         Seconds without a line after which a file has ended.
     column
-        COLUMN=SOURCE, once for each column that has a different name, as of convert.
+        COLUMN=SOURCE, once for each column that has a different name; see convert.
     """
     from imubayes_recordings.api.capture import capture as guided
 

@@ -87,11 +87,11 @@ def new(
         Campaign folder to write. Without files: one that has a campaign and lacks model.toml, or, with --procedure, a
         campaign to fill in, with "?" for facts that no option states.
     files
-        The recording, as of convert.
+        The recording; see convert.
     mapping
         mapping.toml of an earlier conversion, for a recording of the same kind.
     column
-        COLUMN=SOURCE, once for each column that has a different name, as of convert.
+        COLUMN=SOURCE, once for each column that has a different name; see convert.
     """
     given = stated(options, column)
     if files:

@@ -257,7 +257,7 @@ def _goes_back(table: ChosenTable, time: np.ndarray, late: int) -> Exception:
     times = int((step < 0).sum())
     return input_error(
         f"the time goes back {times} times, at sample {first + 2} by {-step[first]:.4g} s: a reset, or several "
-        f"recordings in one; {late} samples are earlier than one before them",
+        f"recordings in one; {late} samples are earlier than a preceding one",
         f"{table.topic.where}, column of the time",
         "times that increase",
         f"--sample-rate-hz {1 / usual:.4g} treats the samples as evenly spaced; or split the file at the resets",
@@ -282,7 +282,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
         )
         if options.clock == "recorded":
             return _increasing(time), [f"{note}: --clock even takes them as even at {rate:.5g} Hz"]
-        return even, [f"{note}: taken as even at {rate:.5g} Hz; --clock recorded keeps their times"]
+        return even, [f"{note}: treated as even at {rate:.5g} Hz; --clock recorded keeps their times"]
     gaps = step > _GAP * median
     notes = []
     if gaps.any():
@@ -291,7 +291,10 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
     jitter = float(np.std(step[~gaps])) / median
     if options.clock == "even":
         even = _even(time, gaps)
-        return even, [*notes, f"samples are taken as even at {1 / float(np.median(np.diff(even))):.6g} Hz, as asked"]
+        return even, [
+            *notes,
+            f"samples are treated as evenly spaced at {1 / float(np.median(np.diff(even))):.6g} Hz, as asked",
+        ]
     if jitter > _JITTER:
         notes.append(
             f"the time jitters by {1e3 * jitter * median:.3g} ms, {100 * jitter:.3g} % of the sampling interval: "

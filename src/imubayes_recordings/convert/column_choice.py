@@ -218,7 +218,7 @@ def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn], options: Conve
         raise input_error(
             f"gravity was subtracted from {', '.join(topic.names[place] for place in motion)}, and no column has it",
             topic.where,
-            "the full reading of the accelerometers, or gravity and the acceleration beside it",
+            "the full reading of the accelerometers, or columns of gravity and of the remaining acceleration",
             "record the accelerometers themselves; to read the gyros alone: --column gx=NAME --column gy=NAME "
             "--column gz=NAME",
         )

@@ -40,11 +40,11 @@ class ConvertOptions:
     gyro_offset: Sequence[float] | None = None
     """Counts at zero rate, one number or one per axis."""
     sample_rate_hz: float | None = None
-    """Sampling rate; the samples are taken as even, whatever times were recorded."""
+    """Sampling rate; the samples are treated as evenly spaced, and recorded times are ignored."""
     time_unit: str = ""
     """Unit of the time column: s, ms, us, ns, 100us, min or h."""
     clock: str = ""
-    """recorded: times as they are; even: samples evenly spaced at the mean rate; by default even where they arrive in
+    """recorded: times as they are; even: samples evenly spaced at the mean rate; by default even if they arrive in
     packets."""
     rows: str = ""
     """samples: a raw log; means: each row is the mean of one pose at rest; by default determined from the
@@ -67,7 +67,7 @@ class ConvertOptions:
     initial_rest_s: float | None = None
     """Length of the initial rest."""
     turn_deg: float | None = None
-    """Angle of each turn about an input axis of a gyro, from rest to rest, where it is known: 360 for a full turn."""
+    """Angle of each turn about an input axis of a gyro, from rest to rest, if it is known: 360 for a full turn."""
     turn_uncertainty_deg: float = 1.0
     """Standard uncertainty of the angle of each turn."""
     procedure: str = ""

@@ -326,4 +326,4 @@ def _nominal(
     if offset is not None:
         return nominal, said
     biases = ", ".join(f"{value:.3g}" for value in nominal.offset / nominal.scale / to_si(shown))
-    return nominal, f"{said}, a bias of {biases} {shown}; the biases of a fit are those that remain beside it"
+    return nominal, f"{said}, a bias of {biases} {shown}; the biases of a fit are in addition to it"

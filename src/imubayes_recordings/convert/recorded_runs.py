@@ -148,7 +148,7 @@ def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[C
         there = np.flatnonzero(np.isfinite(others[name]))
         if len(there) and np.isfinite(kept[name]).mean() < _ALTERNATE and np.sum(~keep[there]) > 0.5 * len(there):
             kept[name] = np.interp(np.flatnonzero(keep), there, others[name][there])
-            notes.append(f"{name} is recorded in {len(there)} rows of its own: interpolated")
+            notes.append(f"{name} is recorded in {len(there)} separate rows: interpolated")
         usual = float(np.median(others[name][there])) if len(there) else 0.0
         if not units.get(name) and not _WARM[0] < usual < _WARM[1]:
             del kept[name]

@@ -229,7 +229,7 @@ def _not_as_described(noise: ChannelNoise) -> Iterator[str]:
         yield f"{told}frequencies above {cut.low_hz:.3g} Hz are left out, as with --shortest-tau {tau}."
     elif (off := noise.roll_off) is not None:
         lost = -10 * off.attenuation / math.log(10)
-        yield f"{told}its power is {lost:.2g} dB at {off.frequency_hz:.3g} Hz. N is that of low frequencies."
+        yield f"{told}its power is {lost:.2g} dB at {off.frequency_hz:.3g} Hz. N applies to low frequencies."
     yield from (_gap_text(gap) for gap in noise.gaps if gap.cause is not Cause.FILTER)
     if noise.unequal_levels > 1:
         yield (

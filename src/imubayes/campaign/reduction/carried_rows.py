@@ -428,8 +428,8 @@ def _notes(log: MotionLog, kept: np.ndarray, knocked: int, misfit: np.ndarray, g
     notes = [
         f"no rests: {int(kept.sum())} windows of {window:.3g} s in motion, of {kept.size}; {len(kept)} stretches of "
         f"{stretch:.3g} s between {poses} poses, over which the gyros carry the attitude",
-        f"the force of a window is off gravity by {1e3 * size / 9.80665:.3g} mg (rms of a component), which is the "
-        "acceleration of the hand, and what the nominal calibration is off",
+        f"the force of a window differs from gravity by {1e3 * size / 9.80665:.3g} mg (rms of a component), due to the "
+        "acceleration of the hand and errors of the nominal calibration",
     ]
     if knocked:
         notes.append(f"{knocked} windows left out: their force is more than {KNOCKED:g} standard deviations off")

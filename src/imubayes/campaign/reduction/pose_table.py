@@ -89,7 +89,7 @@ def reduce_means(
     notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
     if left_out := int(np.sum(~flagged)) - len(kept):
         notes.append(
-            f"{counted(left_out, 'pose')} left out, evenly over directions, since each has an attitude of its own: "
+            f"{counted(left_out, 'pose')} left out, evenly over directions, to limit unknown attitudes: "
             f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all"
         )
     notes += _calibration_notes(fit, np.flatnonzero(complete), force)

@@ -93,12 +93,12 @@ def reduce_waved(
     ]
     if fit.judges:
         size = fit.spread / _MILLI_G
-        notes.append(f"|f| of the windows scatters by {size:.3g} mg, which is the acceleration of the hand")
+        notes.append(f"|f| of the windows scatters by {size:.3g} mg, due to the acceleration of the hand")
     if knocked := int(fit.outliers.sum()):
         notes.append(f"{counted(knocked, 'window')} left out: |f| is far from g, the unit was knocked")
     if left := len(good) - len(chosen):
         notes.append(
-            f"{counted(left, 'window')} left out, evenly over directions, since each has an attitude of its own: "
+            f"{counted(left, 'window')} left out, evenly over directions, to limit unknown attitudes: "
             f"standard uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all"
         )
     return ReducedTumble(

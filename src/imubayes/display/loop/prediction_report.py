@@ -197,8 +197,8 @@ def _compared_lines(found: Repeatability) -> Iterator[str]:
     yield from _due(found)
     if found.other_priors:
         yield (
-            f"The priors of the two models differ: {listed(found.other_priors)}. They are compared as if they had "
-            "nothing in common; a prior made from the first calibration pulls the second towards it."
+            f"The priors of the two models differ: {listed(found.other_priors)}. They are compared as if they were "
+            "independent; a prior made from the first calibration pulls the second towards it."
         )
     if found.changed:
         yield f"Different equipment under the same name: {listed(found.changed)}."

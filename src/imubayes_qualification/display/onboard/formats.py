@@ -96,7 +96,7 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
         BIAS_CONVENTION,
     ]
     if not constants.intervals_valid:
-        lines.append("CAUTION: the noise is not what the model assumes; the uncertainties are not valid.")
+        lines.append("CAUTION: the noise differs from that of the model; the uncertainties are not valid.")
     if constants.not_determined:
         lines.append(f"Not measured, but fixed by the model or its priors: {', '.join(constants.not_determined)}.")
     lines += [f"Left out: {in_words(loss)}." for loss in found]

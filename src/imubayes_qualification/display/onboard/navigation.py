@@ -18,8 +18,8 @@ _CAPTION = (
     "of the variances along North and East (DRMS)."
 )
 _SIZE = (
-    "Every coefficient at the largest size that is met in practice and that the data do not contradict, less what the "
-    "fit takes up of it: no standard uncertainty; no interval and no probability is claimed."
+    "Every coefficient at the largest size that is met in practice and that the data do not contradict, less the part "
+    "that the fit absorbs. These are not standard uncertainties: no interval and no probability is claimed."
 )
 _BARS = 8  # effects that the runs could not show, in the picture
 

@@ -186,7 +186,7 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, stated: ReportedEst
     caption = f"{budget.name}: {known}"
     head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "known to")
     note = (
-        "Near zero inputs contribute through the components of the direction, and shares are of these."
+        "Near zero, inputs contribute through the components of the direction, and the shares refer to these."
         if budget.components
         else ""
     )

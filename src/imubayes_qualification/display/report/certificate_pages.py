@@ -36,27 +36,27 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "method": "identification of the method (7.8.2.1 f)",
     "item_description": "description of the item (7.8.2.1 g)",
     "serial": "unambiguous identification of the item: `serial` of the campaign (7.8.2.1 g)",
-    "received": "date of receipt of the item, where it matters to the results (7.8.2.1 h)",
+    "received": "date of receipt of the item, if it matters to the results (7.8.2.1 h)",
     "performed": "dates of the calibration: `start` of the runs (7.8.2.1 i)",
     "environment": "conditions under which the calibration was made (7.8.4.1 b)",
     "standards": "a statement of traceability: the standards used (7.8.4.1 c)",
     "untraced": "traceability of {of}, which runs used: no standard names it (7.8.4.1 c)",
-    "normal_gravity": "traceability of gravity: the campaign has the formula of normal gravity, and no measured "
+    "normal_gravity": "traceability of gravity: the campaign uses the formula of normal gravity, not a measured "
     "`gravity_m_s2` of the site (7.8.4.1 c)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
     "standard_certificate": "the certificate of {of} has no number",
     "standard_validity": "the date until which the certificate of {of} is valid is not stated",
     "expired": "the certificate of {of} expired before the last run that used it (ISO/IEC 17025, 6.5)",
-    "unused": "no run used this standard, and its claim counts for nothing — {of}",
+    "unused": "no run used what this standard is claimed to trace — {of}",
     "repeated_standard": "one standard is listed more than once — {of}",
-    "shared_certificate": "one number is that of certificates of several issuers — {of}",
+    "shared_certificate": "certificates of several issuers have the same number — {of}",
     "own_number": "the certificate of {of} has the number of this certificate",
-    "own_standard": "the certificate of {of} was issued by this laboratory, and traces to none beyond it (6.5)",
+    "own_standard": "the certificate of {of} was issued by this laboratory, and states no traceability beyond it (6.5)",
     "calibrated_late": "{of} was calibrated after the first run that used it (ISO/IEC 17025, 6.5)",
     "received_late": "the date of receipt is after the first run",
     "issued_early": "the date of issue is before the last run",
     "validity": "the fit did not converge, or no diagnosis found its model adequate (ISO/IEC 17025, 7.2.2 and 7.7.1)",
-    "cmc": "the laboratory states an accreditation and no capabilities (CMC), below which no U is stated (ILAC-P14)",
+    "cmc": "the laboratory states an accreditation but no capabilities (CMC), the lower limit of U (ILAC-P14)",
     "omitted": "U omits known contributions, which are on the first page, to {of} (ISO/IEC 17025, 7.6.1)",
 }
 
@@ -200,7 +200,7 @@ def _floors(report: QualificationReport) -> Iterator[str]:
         )
     if report.unused_capabilities:
         listed = ", ".join(report.unused_capabilities)
-        yield f"Capabilities (CMC) that nothing in this certificate uses, as it has none of these quantities: {listed}."
+        yield f"Capabilities (CMC) that do not apply, because the certificate has no such quantity: {listed}."
 
 
 def _standards_table(report: QualificationReport, standards: Sequence[certificates.MeasurementStandard]) -> Sheet:
@@ -255,14 +255,17 @@ def missing_section(missing: Sequence[certificates.Missing]) -> Iterator[Block]:
     if required:
         yield Heading("Missing from this certificate")
         yield Paragraph(
-            "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it is missing. Without it, "
-            "this document is no certificate of an accredited laboratory.",
+            "ISO/IEC 17025:2017 requires the following items, which are missing. Without them, "
+            "this document is not a certificate of an accredited laboratory.",
             "weak",
         )
         yield Items(missing_texts(required))
     if others:
         yield Heading("Not in order")
-        yield Paragraph("What this certificate states does not agree with the campaign, or does not suffice:", "weak")
+        yield Paragraph(
+            "The following statements of this certificate do not agree with the campaign, or are not sufficient:",
+            "weak",
+        )
         yield Items(missing_texts(others))
 
 

@@ -193,9 +193,7 @@ def measurement_section(model: MeasurementModel) -> Iterator[Block]:
         "Parameters in the equations", ("symbol", "parameter", "meaning", "unit"), rows, (0, 1, 2, 3), note=note
     )
     if model.inputs:
-        yield Paragraph(
-            "What acts on a channel, and what was recorded of it, is that of table, mounting and site after:"
-        )
+        yield Paragraph("The inputs of a channel, and their recorded values, follow from table, mounting and site by:")
         yield Items([f"`{each.name}`: {each.formula}" for each in model.inputs])
     if model.noise:
         yield Paragraph("The noise of a row is the sum of:")

@@ -174,13 +174,12 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         return None
     head = ("quantity", "U would be multiplied by", "worst: u → u with them", "unit", "omitted")
     note = (
-        "Known contributions that no u and no U of this document contains, from site and equipment that the model "
-        "takes as exact: all of them together, if they widen U by a twentieth or more. The campaign states no "
+        "Known contributions from site and equipment that the model takes as exact, and that no u or U of this "
+        "document contains. They are listed if all together widen U by a twentieth or more. The campaign states no "
         "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
-        "the model, which is the way for wobble and encoder harmonics of a table. Other sizes act in proportion "
-        "(annex A). Factors are of values at T_ref; that of a limit over a range of temperatures is beside the "
-        "limit. A limit passes only if all of these together could not carry the "
-        "value across it."
+        "the model; wobble and encoder harmonics of a table can only be added as effects. Other sizes act in "
+        "proportion (annex A). Factors apply to values at T_ref. The factor of a limit over a range of temperatures "
+        "is given with the limit. A limit passes only if all of these together could not carry the value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 
@@ -219,10 +218,10 @@ def sensitivity_table(report: QualificationReport) -> Sheet | None:
         return None
     head = ("taken as exact", "error", "quantity", "channel", "change", "the same error in all", "u", "unit")
     note = (
-        "What an error of this size would do to the estimate, at T_ref, if the model keeps taking it as exact; of a "
-        "cause with several parameters the root sum of squares of what each does. Other sizes do so in proportion. "
-        "Quantities that the plausible size moves by less than a tenth of u are left out, and of each quantity the "
-        "channel is named that is moved most."
+        "Change of the estimate at T_ref that an error of this size causes while the model takes it as exact. For a "
+        "cause with several parameters it is the root sum of squares of their changes. Other sizes act in proportion. "
+        "Quantities that the plausible size changes by less than a tenth of u are left out. For each quantity the "
+        "channel with the largest change is given."
     )
     title = "Change of the results per unit of what U omits"
     return without_empty_columns(Sheet(title, head, rows, (0, 1, 2, 3, 7), note=note))

@@ -118,7 +118,7 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
         yield Paragraph(f"Verdict of the diagnosis: {VERDICTS[verdict]}.", "" if verdict == "adequate" else "bad")
         yield Paragraph(_search(adequacy))
     if adequacy.missing:
-        yield Paragraph(f"Missing, or indistinguishable from what is: {enumerated(adequacy.missing)}.", "bad")
+        yield Paragraph(f"Missing, or indistinguishable from a missing effect: {enumerated(adequacy.missing)}.", "bad")
     for each in adequacy.noise_violations:
         how = numbers.chance_text(each.p) if each.p is not None else ""
         yield Paragraph(
@@ -257,15 +257,15 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         for each in scope.ranges
     ]
     items = [
-        "Other units: every number is of this unit. What is known of a production is no part of it, except where a "
-        "limit states one.",
-        "Conditions outside the ranges above, and their combinations that no run had.",
+        "Other units: every number refers to this unit. A number includes knowledge of a production only if a limit "
+        "states it.",
+        "Conditions outside the ranges above, and combinations of them that occurred in no run.",
         "Change after the last run: ageing, storage, transport, and repeated switching on, unless runs show it.",
         "Errors that the equipment and all runs share and that no prior of the model describes.",
     ]
     if scope.not_supplied:
         named = enumerated([f"{effect} ({needs or 'no run responds'})" for effect, needs in scope.not_supplied], 40)
-        items.append(f"Effects that no run could show, with what a run would have to supply: {named}.")
+        items.append(f"Effects that no run could show, with the input that a run would have to supply: {named}.")
     if scope.from_priors:
         items.append(
             f"Known from priors alone: {counted(len(scope.from_priors), 'quantity')}, "
@@ -278,7 +278,9 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         yield Sheet("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3))
     yield Items(items)
     if weak:
-        note = "The data determine these combinations hardly or not at all: they rest on the priors of their members."
+        note = (
+            "The data hardly determine these combinations, or not at all: they depend on the priors of their members."
+        )
         yield Sheet("Weakly determined combinations", ("combination", "from data"), weak, (0,), note=note)
 
 

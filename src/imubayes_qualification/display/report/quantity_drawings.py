@@ -30,7 +30,7 @@ _WORDS = {"noise of runs": "A: noise of runs", "noise scales": "A: noise scales"
           "second order": "second order", "small": "smaller", "cmc": "B: up to the CMC"}  # fmt: skip
 _BARS = (
     "Shares of the posterior variance of each quantity: noise of the runs and of its scales (type A), then priors by "
-    "what they are about (type B), in the order of the legend. A good test leaves no bar that is mostly “unit under "
+    "their subject (type B), in the order of the legend. A good test leaves no bar that is mostly “unit under "
     "test”, the part that the data did not determine, and a bar of one colour shows where to improve: longer runs for "
     "noise, a better certificate for fixture, table, site or reference."
 )

@@ -17,7 +17,7 @@ _CONVERTER = "converter_"
 _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _STANDARD_NOTE = (
-    "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior "
+    "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] if the posterior "
     "is not symmetric. u: standard uncertainty. Term: its place in the model equation. "
 )
 _REASONS = {
@@ -117,8 +117,8 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> Sheet:
         head,
         rows,
         (0, 1, 2, 3, 4, 5, 6),
-        note="A quantity that is not measured is not zero: one of which less than half of the information came from "
-        "the data rests on its prior. The one-step estimate is that of the linearised fit with the "
+        note="“Not measured” does not mean zero. If less than half of the information on a quantity came from the "
+        "data, it depends on its prior. The one-step estimate is that of the linearised fit with the "
         "effect added; an effect that is probably missing is reported as such.",
     )
 
@@ -259,8 +259,8 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> Sheet:
         )  # fmt: skip
     head = ("channel", "run", "Δk / %", "u / %", "95 % interval / %", "threshold / %", "P(Δk ≤ threshold)")
     note = (
-        "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. Where "
-        "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
+        "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. If "
+        "Δk is probably below the threshold, the temperature line measured at 1 g applies to all inputs; if it is "
         f"above, each input needs its own line. {words.digits_text(lines)}"
     )
     return Sheet("Thermal linearity: Δk of each input", head, rows, (0, 1), note=note)

@@ -28,19 +28,19 @@ OBSTACLES: dict[Obstacle, str] = {
     "pass. Run `imubayes diagnose` on the result and make the report again.",
     "inadequate_model": "The model is inadequate: the diagnosis found that it does not describe the data, so the "
     "uncertainties below are not those of the unit, and the unit cannot pass.",
-    "invalid_intervals": "The noise is not what the model assumes, so the coverage intervals are not valid, and the "
+    "invalid_intervals": "The noise differs from that of the model, so the coverage intervals are not valid, and the "
     "unit cannot pass.",
-    "expired_standard": "The certificate of a standard had expired when runs used it, so that what was measured with "
-    "it is not traceable, and the unit cannot pass.",
+    "expired_standard": "The certificate of a standard had expired when runs used it, so measurements with "
+    "it are not traceable, and the unit cannot pass.",
 }
 VERDICTS: dict[Verdict, str] = {
     "adequate": "adequate: no effect of the catalogue is missing as far as these runs can show",
     "missing_effect": "inadequate: an effect is missing",
     "equivalent_effects": "inadequate: one of several indistinguishable effects is missing, or one is probably missing",
     "unexplained_structure": "inadequate: the data show a cause that no effect of the catalogue explains",
-    "noise_model": "inadequate: the noise is not what the model assumes",
+    "noise_model": "inadequate: the noise differs from that of the model",
     "run_disagrees": "inadequate: one run does not agree with the others, and its record is to be checked",
-    "undetectable": "undetectable: the runs cannot show the effect that was asked about",
+    "undetectable": "undetectable: the runs cannot show the requested effect",
     "not_converged": "none: the fit did not converge",
 }
 NO_DECISION: dict[NoDecision, str] = {
@@ -77,8 +77,8 @@ RULE_MEANS: dict[RuleName, str] = {
     "guard_band": "accepted within the limits less w at each, rejected otherwise",
     "ilac_g8_non_binary": "passed within the limits less w, failed beyond them by more than w, between these a "
     "conditional pass within the limits and a conditional fail beyond them",
-    "conformance_probability": "accepted where p_c is at least that",
-    "specific_risk": "accepted where 1 − p_c is at most that",
+    "conformance_probability": "accepted if p_c is at least that",
+    "specific_risk": "accepted if 1 − p_c is at most that",
     "global_risk": "accepted within the limits less w at each, which the production and this risk determine",
 }
 """What a rule accepts (ISO/IEC 17025, 7.8.6)."""
@@ -157,7 +157,7 @@ def digits_text(lines: Sequence[Stated]) -> str:
     errors = [(line.name, line.monte_carlo) for line in lines if line.monte_carlo is not None]
     few = [name for name, error in errors if error.digits == 1]
     said = "u and U have two significant digits (GUM 7.2.6)"
-    said += f", and one where the Monte Carlo error supports no more: {enumerated(few)}." if few else "."
+    said += f", and one if the Monte Carlo error supports no more: {enumerated(few)}." if few else "."
     return f"{said} {_WITHHELD_NUMBER}" if any(not error.digits for _, error in errors) else said
 
 
