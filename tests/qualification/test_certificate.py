@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site
+from imubayes.foundations.campaign_data import Campaign, Channel, Run, SetAside, Site
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError
 from imubayes.results.posterior_quantities import PosteriorQuantities
@@ -201,6 +201,14 @@ def _report(*missing: Missing) -> QualificationReport:
         provenance=Provenance.model_construct(effects=()),
         scope=StatisticalScope.model_construct(first_start=None, last_start=None),
     )  # fmt: skip
+
+
+def test_readings_that_the_model_leaves_out_are_stated_first():
+    whole = _report()
+    left = SetAside(run="hot", rows=(3, 4), reason="the door was open")
+    found = whole.model_copy(update={"adequacy": whole.adequacy.model_copy(update={"set_aside": (left,)})})
+    assert alarms(found)[0] == "Readings of hot are set aside: see model adequacy."
+    assert not any("set aside" in alarm for alarm in alarms(whole))
 
 
 _SUBJECT = Subject.model_construct(

@@ -325,6 +325,7 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
         history=history,
         runs=summary.runs,
         prior_conflicts=summary.prior_conflicts,
+        set_aside=summary.set_aside,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import Evidence, Verdict
+from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import closest_first
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
@@ -324,6 +325,7 @@ class Adequacy(Record):
     history : models tried.
     runs : goodness of fit by run and channel.
     prior_conflicts : parameters whose prior disagrees with the data.
+    set_aside : readings that the model leaves out, each with its reason.
     """
 
     verdict: Verdict | None
@@ -341,6 +343,7 @@ class Adequacy(Record):
     history: tuple[ModelTried, ...]
     runs: tuple[RunSummary, ...]
     prior_conflicts: tuple[PriorConflict, ...]
+    set_aside: tuple[SetAside, ...] = ()
 
 
 class ReportedConvergence(Record):

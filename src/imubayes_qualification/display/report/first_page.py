@@ -65,6 +65,9 @@ def alarms(report: record.QualificationReport) -> list[str]:
     if adequacy.prior_conflicts:
         names = words.enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
         found.append(f"Priors and data disagree for {names}: see model adequacy.")
+    if adequacy.set_aside:
+        runs = words.enumerated(list(dict.fromkeys(each.run for each in adequacy.set_aside)), 4)
+        found.append(f"Readings of {runs} are set aside: see model adequacy.")
     if any(each.item == "expired" for each in report.missing):
         found.append(words.OBSTACLES["expired_standard"])
     empty = [limit.name for limit in (report.conformity.limits if report.conformity else ()) if limit.accepts_nothing]

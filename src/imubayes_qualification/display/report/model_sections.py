@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from imubayes.display import numbers_and_labels as numbers
-from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, violation_text
+from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, set_aside_text, violation_text
 from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
@@ -117,6 +117,8 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
     else:
         yield Paragraph(f"Verdict of the diagnosis: {VERDICTS[verdict]}.", "" if verdict == "adequate" else "bad")
         yield Paragraph(_search(adequacy))
+    for left in adequacy.set_aside:
+        yield Paragraph(f"Readings set aside: {set_aside_text(left)}.", "bad")
     if adequacy.missing:
         yield Paragraph(f"Missing, or indistinguishable from a missing effect: {enumerated(adequacy.missing)}.", "bad")
     for each in adequacy.noise_violations:
