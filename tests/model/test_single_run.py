@@ -63,6 +63,6 @@ def test_a_stated_prior_and_a_simulation_know_it():
 
 def test_one_line_says_what_the_uncertainty_lacks():
     (line,) = left_out_lines(bound(ONE, EffectSpec("run_scatter")).left_out)
-    assert line.startswith("run_scatter is left out, because only one run contains gx, gy, gz, ax and 2 more")
+    assert line.startswith("run_scatter is left out, because fewer than two runs contain gx, gy, gz, ax and 2 more")
     assert "Repeatability from run to run requires more runs" in line
     assert "\n" not in line

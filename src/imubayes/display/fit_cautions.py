@@ -189,8 +189,8 @@ def set_aside_text(found: SetAside) -> str:
 def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
     return tuple(
-        f"{each.effect} is left out, because only one run contains {listed(each.channels, 4)}. The uncertainties "
-        "are those within that run. Repeatability from run to run requires more runs, or a prior in the model."
+        f"{each.effect} is left out, because fewer than two runs contain {listed(each.channels, 4)}. The uncertainties "
+        "are those within a run. Repeatability from run to run requires more runs, or a prior in the model."
         for each in found
     )
 
