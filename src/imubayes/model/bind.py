@@ -209,6 +209,11 @@ class Model:
     left_out: tuple[SingleRunEffect, ...] = ()
 
     @property
+    def acting(self) -> frozenset[str]:
+        """Names of the effects and noise members that act in some run of the campaign."""
+        return frozenset(effect.name for effect in self.assembly.effects)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the components of z, `effect.parameter[label]`: parameters, then hyperparameters."""
         return self.layout.names + self.hyper_layout.names
