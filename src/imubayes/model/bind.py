@@ -209,9 +209,10 @@ class Model:
     left_out: tuple[SingleRunEffect, ...] = ()
 
     @property
-    def acting(self) -> frozenset[str]:
-        """Names of the effects and noise members that act in some run of the campaign."""
-        return frozenset(effect.name for effect in self.assembly.effects)
+    def acting(self) -> tuple[EffectSpec, ...]:
+        """Effects and noise members of `spec` that act in some run of the campaign."""
+        bound = {effect.name for effect in self.assembly.effects}
+        return tuple(effect for effect in self.spec.effects if effect.name in bound)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -331,7 +331,7 @@ def measurement_model(result: Result) -> MeasurementModel:
     model, symbols = result.fit.model, _Symbols()
     known = model.registry.effects
     # Every campaign implies the unknowns of a bench that states no direction; a campaign that states it binds none.
-    acting = [spec for spec in model.spec.effects if spec.name in model.acting]
+    acting = model.acting
     ordered = sorted(
         (spec for spec in acting if _is_signal(known[spec.name])),
         key=lambda spec: (known[spec.name].stage, known[spec.name].order),  # pyright: ignore[reportAttributeAccessIssue]

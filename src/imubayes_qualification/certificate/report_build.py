@@ -152,7 +152,7 @@ def provenance_of(result: Result) -> subject.Provenance:
     assert result.folder is not None
     fit, model = read_fit_record(result.folder), result.fit.model
     spec, fitted = model.spec, result.summary.provenance
-    effects = [each for each in spec.effects if each.name in model.acting or not each.optional]
+    effects = [each for each in spec.effects if each in model.acting or not each.optional]
     return subject.Provenance(
         model=spec.name,
         effects=tuple(subject.ReportedEffect.model_validate(effect, from_attributes=True) for effect in effects),
