@@ -218,7 +218,7 @@ class ArmError(OuterAxisEffect):
 
 
 class TableAxisTilt(MotionEffect):
-    """Small rotation of the whole table about its own x and y: C_nt0 = C_nominal · exp([x, y, 0]×).
+    """Small rotation of the whole table about its own x and y: C_nt0 = nominal C_nt0 · exp([x, y, 0]×).
 
     Of several axes it is that of the outer one, against the vertical and north.
     """
