@@ -25,6 +25,7 @@ from imubayes_qualification.certificate.report_record import (
     QualificationReport,
     ReportedCombination,
     ReportedConvergence,
+    ResultLine,
     StandardEstimate,
     StatisticalScope,
     ThermalLinearity,
@@ -202,7 +203,7 @@ def test_statements_are_those_of_the_pages():
     whole = said()
     for text in (
         "Decision rule: ILAC-G8 non-binary, w = U (passed within the limits less w, failed beyond them by more than w",
-        "K_0 of ax from 10 °C to 45 °C: 100.0 ± 4.0, limits -101 … 101 µg",
+        "K_0 of ax from 10 °C to 45 °C: 100.0 ± 4.0, limits −101 … 101 µg",
         "metrologically traceable to the SI through the standards used", "Adjustment: not stated.",
         "1 g = 9.790000 m/s²", "2027-03-01", "NMI",
     ):  # fmt: skip
@@ -263,10 +264,14 @@ def test_every_certified_quantity_has_a_result():
         name="a+b", quantities=("a", "b"), weights=(1.0, 1.0), constant=0.0, middle_of="", d_si=one, **made
     )
     linear = ThermalLinearity.model_construct(name="delta_k[ax,r]", channel="ax", run="r", d_si=one, **made)
+    drift, bias = (
+        ResultLine.model_construct(name=name, kind="parameter", d_si=one, **made)
+        for name in ("converter_gain_drift.slope[ax]", "accel_bias.bias[ax]")
+    )
     document = dcc_file(
         report(
             conformity=Conformity(specification="FQ", sha256="", outcome="pass", obstacles=(), limits=(limit,)),
-            mounting_angles=(angle,), combinations=(together,), thermal_linearity=(linear,),
+            mounting_angles=(angle,), combinations=(together,), thermal_linearity=(linear,), results=(drift, bias),
         )
     )  # fmt: skip
     assert faults(document) == []
@@ -281,7 +286,8 @@ def test_every_certified_quantity_has_a_result():
     assert names["True mounting angles"] == ["true angle of gx in up"]
     assert names["Determined combinations"] == ["a + b"]
     assert names["Thermal linearity"] == ["Δk of ax in r"]
-    (interval,) = results[-3].iter(f"{{{SI}}}coverageIntervalMU")
+    assert names["Converters"] == ["converter_gain_drift.slope[ax]"]
+    (interval,) = results[-4].iter(f"{{{SI}}}coverageIntervalMU")
     assert [float(child.text or "nan") for child in interval] == [0.8, -4.0, -1.0, 0.95], "in a unit of another sign"
 
 

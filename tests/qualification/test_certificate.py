@@ -581,6 +581,12 @@ def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):
     assert "certificate.toml:" in issue.where
 
 
+def test_a_country_that_there_is_not_is_told_what_one_is(tmp_path):
+    with pytest.raises(InputError) as caught:
+        read_certificate(written(tmp_path, WHOLE.replace('name = "Customer"', 'name = "Customer"\ncountry = "UK"')))
+    assert caught.value.issues[0].allowed == "two capital letters, ISO 3166-1"
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -258,6 +258,21 @@ def test_rules_of_the_file(tmp_path, rule, expected):
     assert found.decision.outcome == expected
 
 
+def test_one_width_of_a_guard_band_is_of_limits_in_one_unit(tmp_path):
+    """A width of 5 would be 5 deg/h of a bias and 5 ppm of a scale factor."""
+    bias = limit("gyro_bias.bias[gy]", 'lower = -10\nupper = 10\nunit = "deg/h"')
+    scale = limit("gyro_scale_factor.scale[gx]", 'lower = 0\nupper = 999\nunit = "ppm"')
+    own = scale + 'rule = { name = "guard_band", width = 5 }\n'
+    file, rule = tmp_path / "spec.toml", '[rule]\nname = "guard_band"\nwidth = 5\n'
+    file.write_text(HEAD + rule + bias + scale, encoding="utf-8")
+    with pytest.raises(InputError, match=r"one width, 5, for limits in deg/h, ppm") as caught:
+        read_specification(file)
+    assert "spec.toml:5" in caught.value.issues[0].where
+    for fine in (rule + bias + own, rule.replace("width = 5", "factor = 2") + bias + scale):
+        file.write_text(HEAD + fine, encoding="utf-8")
+        assert read_specification(file)[0].limit
+
+
 def test_a_global_risk_depends_on_the_production(tmp_path):
     rule = '[rule]\nname = "global_risk"\nprobability = 0.001\n'
     rest = 'lower = -10\nupper = 10\nunit = "deg/h"\nproduction = { mean = 0, sd = SD }'

@@ -1,6 +1,8 @@
 """The equations of a certificate are what was evaluated: each is held against the code of its effect, in numbers."""
 
 import math
+import re
+import unicodedata
 from collections.abc import Mapping
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +21,7 @@ from imubayes_qualification.budgets.measurement_equation import (
     EquationLine,
     Expression,
     _covariate_symbol,
+    _stated,
     formula,
     symbol,
 )
@@ -129,6 +132,14 @@ def test_equations_are_mathematics_for_browser_and_paper(name):
     assert root.tag == "math"
     assert plain(line).startswith("x_1 = ")
     assert "+ −" not in plain(line)
+
+
+@pytest.mark.parametrize("name", sorted(Registry().effects))
+def test_formulas_in_words_have_every_sign_on_paper(name):
+    """Fonts set no dot above a Greek capital: Ω̇ would be printed as Ω.  A word or a comma is no subscript."""
+    said = _stated(Registry().effects[name]).formula
+    assert not any(map(unicodedata.combining, said))
+    assert not re.search(r"\b[A-Za-z]_(\w+,\w|[a-z]{4})", said)
 
 
 def test_typst_sets_every_equation():

@@ -14,6 +14,7 @@ from imubayes_qualification.certificate.report_record import (
     ReportedConvergence,
     ResultLine,
     StandardEstimate,
+    ThermalLinearity,
 )
 from imubayes_qualification.certificate.report_subject import Provenance
 from imubayes_qualification.display.report.exact_tables import (
@@ -27,14 +28,16 @@ from imubayes_qualification.display.report.exact_tables import (
 )
 from imubayes_qualification.display.report.result_sections import (
     combination_section,
+    converter_section,
     mounting_section,
     standards_section,
 )
 
 BIAS, ANGLE, SUM, SEAT = "accel_bias.bias[ax]", "mounting_angle[ax,up]", "a[ax]+b[up]", "table_axis_tilt.x[rate]"
+DRIFT, DELTA_K = "converter_gain_drift.slope[ax]", "delta_k[ax,ramp]"
 U = 0.5
 # What all parameters together do to each quantity that is in no uncertainty, in units of u.
-JOINT = {BIAS: 1.0, ANGLE: 3.0, SUM: 0.2, SEAT: math.sqrt(3.0)}
+JOINT = {BIAS: 1.0, ANGLE: 3.0, SUM: 0.2, SEAT: math.sqrt(3.0), DRIFT: math.sqrt(8.0), DELTA_K: math.sqrt(15.0)}
 
 
 def shifts(sizes: dict[str, float]) -> tuple[QuantityShift, ...]:
@@ -52,7 +55,7 @@ def report(withheld: bool = False) -> QualificationReport:
     stated = {"estimate": 1.0, "standard_uncertainty": U, "d_si": None}
     angle = stated | {"withheld": "monte_carlo_error"} if withheld else stated
     standard = {"key": "accel_bias", "symbol": "K_0", "quantity": "bias", "standard": "IEEE Std 1293", "term": "K_0"}
-    names = (BIAS, ANGLE, SUM, SEAT)
+    names = (BIAS, ANGLE, SUM, SEAT, DRIFT, DELTA_K)
     budgets = [QuantityBudget.model_construct(name=name, unit="ug", standard_uncertainty=U) for name in names]
     return QualificationReport.model_construct(
         standards=(
@@ -70,7 +73,12 @@ def report(withheld: bool = False) -> QualificationReport:
                 middle_of="", evidence=(), procedures=(), **stated,
             ),
         ),
-        results=tuple(ResultLine(name=name, unit="arcsec", kind="parameter", **stated) for name in (BIAS, SEAT)),
+        thermal_linearity=(
+            ThermalLinearity(name=DELTA_K, unit="%", channel="ax", run="ramp", threshold=10, within=None, **stated),
+        ),
+        results=tuple(
+            ResultLine(name=name, unit="arcsec", kind="parameter", **stated) for name in (BIAS, SEAT, DRIFT)
+        ),
         budgets=UncertaintyBudgets.model_construct(quantities=tuple(budgets)),
         convergence=ReportedConvergence.model_construct(converged=True),
         not_estimated=(), provenance=Provenance.model_construct(effects=()),
@@ -92,8 +100,13 @@ def rows(table: Sheet | None) -> list[tuple[str, ...]]:
 def test_every_stated_quantity_that_omits_something_has_its_factor():
     """The factor is that of all parameters together, √(1 + (omitted/u)²), and a quantity stands once."""
     found = {each.label: each.ratio for each in omissions(report())}
-    assert found == pytest.approx({"ax": math.sqrt(2), "ax,up": math.sqrt(10), SEAT: 2.0})
-    bias, angles, others = rows(omitted_table(omissions(report())))
+    converters = {DRIFT: 3.0, "Δk[ax,ramp]": 4.0}
+    assert found == pytest.approx({"ax": math.sqrt(2), "ax,up": math.sqrt(10), SEAT: 2.0} | converters)
+    bias, angles, linearity, others, drift = rows(omitted_table(omissions(report())))
+    assert [linearity[:2], drift[:2]] == [
+        ("converters", "× 4.00 (1, see there)"),
+        ("converters", "× 3.00 (1, see there)"),
+    ]
     assert bias == ("K_0", "ax × 1.41", "0.50 → 0.71", "µg", "encoder harmonic (5.0 arcsec)")
     assert angles[0] == "true mounting angles"
     assert angles[-1].startswith("table wobble (5.0 arcsec), encoder")
@@ -116,8 +129,26 @@ def test_what_u_omits_stands_in_its_own_row():
     assert BESIDE not in table.head
 
 
+def test_what_u_of_a_converter_omits_stands_beside_it():
+    own = report().thermal_linearity, report().results, " u and U omit this."
+    tables = [each for each in converter_section(*own, omitted_beside(report())) if isinstance(each, Sheet)]
+    assert [table.rows[0][table.head.index(BESIDE)].text for table in tables] == ["× 3.00", "× 4.00"]
+    assert all(table.note.endswith(own[-1]) for table in tables)
+    assert all(BESIDE not in each.head for each in converter_section(*own) if isinstance(each, Sheet))
+
+
+def test_errors_that_the_data_bound_do_less_than_their_changes_suggest():
+    """A change per unit times the plausible size is more than a factor contains, and the note of each table says so."""
+    (changes, factors) = sensitivity_table(report()), omitted_table(omissions(report()))
+    assert changes is not None
+    assert factors is not None
+    assert "the data bound such an error" in changes.note
+    assert "the part that the data leave undetermined" in factors.note
+    assert "in proportion" not in factors.note
+
+
 def test_what_is_withheld_has_no_factor_and_nothing_omitted_is_no_table():
-    assert {each.label for each in omissions(report(withheld=True))} == {"ax", SEAT}
+    assert {each.label for each in omissions(report(withheld=True))} == {"ax", SEAT, DRIFT, "Δk[ax,ramp]"}
     assert omitted_table([]) is None
 
 

@@ -84,6 +84,10 @@ def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(resu
     again.mkdir()
     assert written(result, again, "--spec", specification(tmp_path))[1:] == (record, page)
     assert "PASS" in visible(page)
+    # Benches of this campaign state their directions: their unknowns are no part of its model.
+    listed = {each.name for each in record.provenance.effects} | {each.name for each in record.measurement.inputs}
+    assert not listed & {"unknown_heading", "unknown_level"}
+    assert "T_ref" not in visible(page), "a subscript is one in cells as well"
     assert re.search(r"−\d", visible(page))
     assert not re.search(r"(?<![\w\-])-\d", visible(page)), "a hyphen is no minus; programs read the record"
     assert len(page.encode()) < 1.5e6

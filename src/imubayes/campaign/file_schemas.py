@@ -413,6 +413,7 @@ PATTERNS = {
 """Pattern of a name → its description."""
 
 FORMS = {
+    "country": PATTERNS[COUNTRY],
     "start": "a date, or a date and time, without quotes: 2026-03-10T08:00:00Z",
     "azimuth_deg": 'a number from -360 to 360, or "unknown"',
     "input_axis": "three numbers: [1, 0, 0]",

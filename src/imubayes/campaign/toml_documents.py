@@ -221,7 +221,8 @@ def _message(fault: Any, path: KeyPath, label: str, owner: type[BaseModel] | Non
                 "use one of the allowed values",
             )
         case "value_error":
-            return str(context["error"]), ", ".join(fields), "correct this entry"
+            form = FORMS.get(key, "") if isinstance(given, str) else ""
+            return str(context["error"]), form or ", ".join(fields), "correct this entry"
         case "string_pattern_mismatch":
             return f"{spell(path)}: {given!r} is not allowed here", PATTERNS[context["pattern"]], "correct it"
     return None

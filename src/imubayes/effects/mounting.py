@@ -17,7 +17,7 @@ from imubayes.parameters.declarations import parameter
 
 
 class TumbleHeading(MotionEffect):
-    """Heading ψ of the whole run, C_nb = Rz(ψ) · C_nb,estimated; only the Earth's rotation depends on it."""
+    """Heading ψ of the whole run, C_nb = Rz(ψ) · estimated C_nb; only the Earth's rotation depends on it."""
 
     name = "tumble_heading"
     stage = Stage.STAND
@@ -87,7 +87,7 @@ class UnknownLevel(MotionEffect):
 
 
 class StationHeading(MotionEffect):
-    """Error ψ of the station's north: C_nb = Rz(ψ) · C_nb,nominal, in positions set by directions.
+    """Error ψ of the station's north: C_nb = Rz(ψ) · nominal C_nb, in positions set by directions.
 
     5 arcmin of it change the Earth rate along an axis that points east by 0.0013 · Ω cos L, 0.012 deg/h at 56°.
     """
@@ -106,7 +106,7 @@ class StationHeading(MotionEffect):
 
 
 class StationLevel(MotionEffect):
-    """Error of the station's level: C_nb = exp([east, north, 0]×) · C_nb,nominal, in positions set by directions.
+    """Error of the station's level: C_nb = exp([east, north, 0]×) · nominal C_nb, in positions set by directions.
 
     It tilts the Earth rate and gravity alike: 1 arcmin is 0.0003 · Ω along a horizontal axis.
     """
@@ -126,7 +126,7 @@ class StationLevel(MotionEffect):
 
 
 class MountingError(BodyRotation):
-    """Small rotation of the body in its fixture: C_tb = C_tb,nominal · exp([δ]×), δ in body axes.
+    """Small rotation of the body in its fixture: C_tb = nominal C_tb · exp([δ]×), δ in body axes.
 
     At the trihedral angle 1 arcsec changes cos θ, and with it the apparent scale factor, by tan θ = √2 per
     radian, which is 6.86 ppm.
@@ -142,7 +142,7 @@ class MountingError(BodyRotation):
 
 
 class PoseAttitude(BodyRotation):
-    """Rotation of each pose from its first estimate, C_nb = C_nb,estimated · exp([δ]×): a mounting of unknown rotation.
+    """Rotation of each pose from its first estimate, C_nb = estimated C_nb · exp([δ]×): a mounting of unknown rotation.
 
     The prior, 10°, is an order of magnitude wider than the error of the first estimate, which rests on nominal
     sensors good to some percent.
@@ -173,7 +173,7 @@ class ServoStart(MotionEffect):
 
 
 class LeverArm(PlaceEffect):
-    """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the rotation axis.
+    """Acceleration Ω×(Ω×r) + dΩ/dt×r + 2 ω_E×(Ω×r) at r, body axes, from the rotation axis.
 
     1 cm at 100 °/s is 3.1 mg; the Earth's rotation ω_E contributes 83 ppm of it. The component of r along the rotation
     axis has no effect on the first two terms.
@@ -193,7 +193,7 @@ class LeverArm(PlaceEffect):
 
 
 class RotationCentre(PlaceEffect):
-    """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
+    """Acceleration Ω×(Ω×r) + dΩ/dt×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
 
     All accelerometers have it in common, and each run another: the place of the unit on the wheel is unknown.  The
     component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.

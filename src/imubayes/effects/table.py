@@ -137,7 +137,7 @@ class MiddleAxisSquareness(AxisSquareness):
 
 
 class OuterAxisIntersection(OuterAxisEffect):
-    """The next axis passes the outer one at d along their common normal: d adds Ω×(Ω×d) + Ω̇×d, turning with it.
+    """The next axis passes the outer one at d along their common normal: d adds Ω×(Ω×d) + dΩ/dt×d, turning with it.
 
     10 µm at 100 °/s are 3 µg.
     """
@@ -156,7 +156,7 @@ class OuterAxisIntersection(OuterAxisEffect):
 class MiddleAxisIntersection(OuterAxisIntersection):
     """The inner axis passes the middle one at d along their common normal, and the outer one at e along the middle one.
 
-    d and e add Ω×(Ω×r) + Ω̇×r with the turning of the middle axis, r = d·(z × n) + e·z in its frame.
+    d and e add Ω×(Ω×r) + dΩ/dt×r with the turning of the middle axis, r = d·(z × n) + e·z in its frame.
     """
 
     name = "middle_axis_intersection"
@@ -218,7 +218,7 @@ class ArmError(OuterAxisEffect):
 
 
 class TableAxisTilt(MotionEffect):
-    """Small rotation of the whole table about its own x and y: C_nt0 = C_nt0,nominal · exp([x, y, 0]×).
+    """Small rotation of the whole table about its own x and y: C_nt0 = nominal C_nt0 · exp([x, y, 0]×).
 
     Of several axes it is that of the outer one, against the vertical and north.
     """
@@ -257,7 +257,7 @@ class GravityAnomaly(MotionEffect):
 
 
 class TimeSkew(TableEffect):
-    """True angle = φ + Ω·δ + ½ Ω̇·δ², true rate = Ω + Ω̇·δ, of every axis: the unit is sampled δ after the table.
+    """True angle = φ + Ω·δ + ½ dΩ/dt·δ², true rate = Ω + dΩ/dt·δ, of every axis: the unit is sampled δ after the table.
 
     At a constant rate over whole turns it has no effect; rotating rows of known angle or a changing rate determine it.
     """

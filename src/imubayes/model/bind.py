@@ -209,6 +209,12 @@ class Model:
     left_out: tuple[SingleRunEffect, ...] = ()
 
     @property
+    def acting(self) -> tuple[EffectSpec, ...]:
+        """Effects and noise members of `spec` that act in some run of the campaign."""
+        bound = {effect.name for effect in self.assembly.effects}
+        return tuple(effect for effect in self.spec.effects if effect.name in bound)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the components of z, `effect.parameter[label]`: parameters, then hyperparameters."""
         return self.layout.names + self.hyper_layout.names

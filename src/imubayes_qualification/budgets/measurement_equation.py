@@ -330,8 +330,10 @@ def measurement_model(result: Result) -> MeasurementModel:
     """Return the equations of the model of a result."""
     model, symbols = result.fit.model, _Symbols()
     known = model.registry.effects
+    # Every campaign implies the unknowns of a bench that states no direction; a campaign that states it binds none.
+    acting = model.acting
     ordered = sorted(
-        (spec for spec in model.spec.effects if _is_signal(known[spec.name])),
+        (spec for spec in acting if _is_signal(known[spec.name])),
         key=lambda spec: (known[spec.name].stage, known[spec.name].order),  # pyright: ignore[reportAttributeAccessIssue]
     )
     specs = {spec.name: spec for spec in ordered}
@@ -342,7 +344,7 @@ def measurement_model(result: Result) -> MeasurementModel:
         )
         for (kind, names), channels in _alike(result.fit.model.campaign, ordered, known).items()
     )  # fmt: skip
-    others = [spec.name for spec in model.spec.effects if spec.name not in specs or _in_words(known[spec.name])]
+    others = [spec.name for spec in acting if spec.name not in specs or _in_words(known[spec.name])]
     noise = [name for name in others if not hasattr(known[name], "stage")]
     return MeasurementModel(
         equations=equations,

@@ -150,11 +150,12 @@ def omitted_values(campaign: Campaign) -> Iterator[record.OmittedChannel]:
 def provenance_of(result: Result) -> subject.Provenance:
     """Return model, hashes, seed and software."""
     assert result.folder is not None
-    fit, spec = read_fit_record(result.folder), result.fit.model.spec
-    fitted = result.summary.provenance
+    fit, model = read_fit_record(result.folder), result.fit.model
+    spec, fitted = model.spec, result.summary.provenance
+    effects = [each for each in spec.effects if each in model.acting or not each.optional]
     return subject.Provenance(
         model=spec.name,
-        effects=tuple(subject.ReportedEffect.model_validate(effect, from_attributes=True) for effect in spec.effects),
+        effects=tuple(subject.ReportedEffect.model_validate(effect, from_attributes=True) for effect in effects),
         data_sha256=fit.data_hash,
         model_sha256=fit.model_hash,
         seed=fit.seed,

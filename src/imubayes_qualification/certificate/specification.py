@@ -108,10 +108,23 @@ def read_specification(file: str | Path) -> tuple[SpecificationFile, Ledger]:
     found = document.entry
     assert found is not None, "an invalid document has issues"
     document.ledger.issues += issues_of_rule(found.rule, document.ledger.where("rule"))
+    _check_common_width(found, document.ledger)
     for place, limit in enumerate(found.limit):
         _check_limit(limit, place, found.rule, document.ledger)
     document.ledger.stop_if_any()
     return found, document.ledger
+
+
+def _check_common_width(found: SpecificationFile, ledger: Ledger) -> None:
+    """Refuse one width of a guard band for limits in several units: 5 ppm is a width, and so is 5 mg."""
+    units = dict.fromkeys(limit.unit for limit in found.limit if limit.rule is None)
+    if found.rule.width is not None and len(units) > 1:
+        ledger.add(
+            f"the guard band has one width, {found.rule.width:g}, for limits in {', '.join(units)}",
+            ("rule", "width"),
+            "a width for limits in one unit, or a factor",
+            'state the width beside each limit, as rule = { name = "guard_band", width = … }, or use a factor',
+        )
 
 
 def _check_limit(limit: LimitEntry, place: int, common: RuleEntry, ledger: Ledger) -> None:

@@ -30,7 +30,8 @@ from imubayes.foundations.errors import Issue, refuse
 from imubayes_qualification.certificate.certificate import Certificate, Party
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.certificate_pages import all_statements
-from imubayes_qualification.display.report.exact_tables import omissions, omitted_beside, omitted_factor
+from imubayes_qualification.display.report.document import with_minus
+from imubayes_qualification.display.report.exact_tables import CONVERTER, omissions, omitted_beside, omitted_factor
 from imubayes_qualification.display.report.words import Stated, limits_text, value_text
 from imubayes_qualification.evaluation.coverage import COVERAGE_PROBABILITY, IntervalShape, equivalent_degrees
 from imubayes_qualification.evaluation.decision_rules import Outcome
@@ -185,7 +186,7 @@ def _statements(parent: ElementTree.Element, report: QualificationReport, block:
         judged.append((f"{what} {pretty(each.unit)}", each.outcome))
     for text, outcome in judged:
         own = _child(parent, "statement")
-        _text(own, "declaration", text)
+        _text(own, "declaration", with_minus(text))
         _child(own, "conformity", _CONFORMITY[outcome])
 
 
@@ -256,6 +257,7 @@ def _of_other_tables(report: QualificationReport) -> Iterator[_Certified]:
     tables = (
         ("True mounting angles", ((f"true angle of {e.channel} in {e.mounting}", e) for e in report.mounting_angles)),
         ("Determined combinations", ((members_text(e), e) for e in report.combinations)),
+        ("Converters", ((e.name, e) for e in report.results if e.name.startswith(CONVERTER))),
         ("Thermal linearity", ((f"Δk of {e.channel} in {e.run}", e) for e in report.thermal_linearity)),
     )
     for group, estimates in tables:
@@ -320,7 +322,7 @@ def _quantity(parent: ElementTree.Element, certified: _Certified) -> None:
     _text(own, "name", certified.name)
     symmetric = each.interval == "symmetric" and each.expanded_uncertainty is not None
     shape = "" if symmetric else f" The 95 % interval is {_SHAPES[each.interval or 'equal-tailed']}."
-    _text(own, "description", f"{certified.description}{shape}")
+    _text(own, "description", with_minus(f"{certified.description}{shape}"))
     real = _child(own, "real", space=SI)
     _child(real, "value", _number(each.estimate, factor), SI)
     _child(real, "unit", each.d_si.unit, SI)

@@ -20,9 +20,9 @@ _CAUSE = 0.1
 # Share of u by which a cause of the plausible size moves a quantity, from which on it is listed with what it does.
 _LISTED = 0.1
 
-Kind = Literal["standard", "angle", "combination", "result"]
+Kind = Literal["standard", "angle", "combination", "converter", "result"]
 _KINDS: dict[Kind, str] = {
-    "standard": "", "angle": "true mounting angles", "combination": "combinations",
+    "standard": "", "angle": "true mounting angles", "combination": "combinations", "converter": "converters",
     "result": "others of the result table",
 }  # fmt: skip
 
@@ -48,6 +48,8 @@ class Omission:
     causes: tuple[ExactInput, ...]
 
 
+CONVERTER = "converter_"
+"""Beginning of the names of converter effects, whose estimates have a table of their own."""
 BESIDE = "U omits"
 """Head of the column with the factor by which what U omits would multiply it."""
 
@@ -137,8 +139,10 @@ def _stated(report: QualificationReport) -> Iterator[tuple[Kind, str, str, Repor
         yield "angle", "", f"{angle.channel},{angle.mounting}", angle, (angle.name,)
     for combination in report.combinations:
         yield "combination", "", members_text(combination), combination, (combination.name,)
+    for each in report.thermal_linearity:
+        yield "converter", "", f"Δk[{each.channel},{each.run}]", each, (each.name,)
     for line in report.results:
-        yield "result", "", line.name, line, (line.name,)
+        yield "converter" if line.name.startswith(CONVERTER) else "result", "", line.name, line, (line.name,)
 
 
 def _causes(inputs: Sequence[ExactInput], name: str) -> tuple[ExactInput, ...]:
@@ -177,9 +181,10 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "Known contributions from site and equipment that the model takes as exact, and that no u or U of this "
         "document contains. They are listed if all together widen U by a twentieth or more. The campaign states no "
         "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
-        "the model; wobble and encoder harmonics of a table can only be added as effects. Other sizes act in "
-        "proportion (annex A). Factors apply to values at T_ref. The factor of a limit over a range of temperatures "
-        "is given with the limit. A limit passes only if all of these together could not carry the value across it."
+        "the model; wobble and encoder harmonics of a table can only be added as effects. A factor contains only the "
+        "part of each error that the data leave undetermined; annex A has the changes per unit of the whole error. "
+        "Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
+        "limit. A limit passes only if all of these together could not carry the value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 
@@ -220,6 +225,8 @@ def sensitivity_table(report: QualificationReport) -> Sheet | None:
     note = (
         "Change of the estimate at T_ref that an error of this size causes while the model takes it as exact. For a "
         "cause with several parameters it is the root sum of squares of their changes. Other sizes act in proportion. "
+        "If the data bound such an error, it adds less to u than this change times the plausible size: the factors of "
+        "the first page contain what remains. "
         "Quantities that the plausible size changes by less than a tenth of u are left out. For each quantity the "
         "channel with the largest change is given."
     )

@@ -142,7 +142,7 @@ def limits_table(
                 _symbol(limit),
                 limit.label,
                 words.limits_text(limit),
-                _where(limit, reference),
+                Cell(_where(limit, reference), formula=True),
                 words.value_text(limit) + (f" ({along})" if along else ""),
                 omitted_factor(limit.omitted_ratio),
                 words.factor_text(limit),

@@ -111,7 +111,9 @@ _TITLES: dict[Annex, str] = {
     "evidence": "model, convergence and record",
 }
 # Annex that has the table of a kind of quantity; those of the standards are in all.
-_ANNEX_OF: dict[exact_tables.Kind, Annex] = {"angle": "results", "combination": "results", "result": "evidence"}
+_ANNEX_OF: dict[exact_tables.Kind, Annex] = {
+    "angle": "results", "combination": "results", "converter": "results", "result": "evidence",
+}  # fmt: skip
 
 
 def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNEXES) -> ReportDocument:
@@ -184,7 +186,9 @@ def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omissio
     yield from result_sections.combination_section(
         report.combinations, exact_tables.omitted_note(omitted, "combination"), beside
     )
-    yield from result_sections.converter_section(report.thermal_linearity, report.results)
+    yield from result_sections.converter_section(
+        report.thermal_linearity, report.results, exact_tables.omitted_note(omitted, "converter"), beside
+    )
     if report.conformity is not None and report.conformity.limits:
         yield first_page.risk_table(report.conformity.limits)
     yield from measurement_section(report.measurement)

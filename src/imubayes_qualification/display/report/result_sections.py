@@ -11,9 +11,8 @@ from imubayes.inference.identifiability import ProcedureShare
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.display.report import words
 from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph, without_empty_columns
-from imubayes_qualification.display.report.exact_tables import BESIDE
+from imubayes_qualification.display.report.exact_tables import BESIDE, CONVERTER
 
-_CONVERTER = "converter_"
 _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _STANDARD_NOTE = (
@@ -233,37 +232,44 @@ def _determined_together_by(found: record.ReportedCombination) -> str:
 
 
 def converter_section(
-    lines: Sequence[record.ThermalLinearity], results: Sequence[record.ResultLine]
+    lines: Sequence[record.ThermalLinearity],
+    results: Sequence[record.ResultLine],
+    omitted: str = "",
+    beside: Beside | None = None,
 ) -> Iterator[Block]:
-    """Return the drift of the converters, and Δk per input with P(Δk ≤ threshold)."""
-    drift = [line for line in results if line.name.startswith(_CONVERTER)]
+    """Return the drift of the converters, and Δk per input with P(Δk ≤ threshold).
+
+    `omitted` says what the uncertainties omit, `beside` what that would do to each.
+    """
+    drift = [line for line in results if line.name.startswith(CONVERTER)]
     if lines or drift:
         yield Heading("Converters")
     if drift:
-        note = "Temperature sensitivity of gain and offset, and the other converter effects of the model."
-        rows = [_result_row(line) for line in drift]
+        note = f"Temperature sensitivity of gain and offset, and the other converter effects of the model.{omitted}"
+        rows = [_result_row(line, (beside or {}).get(line.name, "")) for line in drift]
         yield without_empty_columns(Sheet("Drift of the converters", _RESULT_HEAD, rows, (0, 3, 5), note=note), BESIDE)
     if lines:
-        yield _delta_k_table(lines)
+        yield _delta_k_table(lines, omitted, beside or {})
 
 
-def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> Sheet:
+def _delta_k_table(lines: Sequence[record.ThermalLinearity], omitted: str, beside: Beside) -> Sheet:
     rows = []
     for each in lines:
         estimate, u, _, _ = words.stated(each)
         rows.append(
             cells(
-                each.channel, each.run, estimate, u, words.interval_text(each),
+                each.channel, each.run, estimate, u, beside.get(each.name, ""), words.interval_text(each),
                 f"{each.threshold:g}", words.probability_text(each.within)
             )
         )  # fmt: skip
-    head = ("channel", "run", "Δk / %", "u / %", "95 % interval / %", "threshold / %", "P(Δk ≤ threshold)")
+    head = ("channel", "run", "Δk / %", "u / %", BESIDE, "95 % interval / %", "threshold / %", "P(Δk ≤ threshold)")
     note = (
         "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. If "
         "Δk is probably below the threshold, the temperature line measured at 1 g applies to all inputs; if it is "
-        f"above, each input needs its own line. {words.digits_text(lines)}"
+        f"above, each input needs its own line. {words.digits_text(lines)}{omitted}"
     )
-    return Sheet("Thermal linearity: Δk of each input", head, rows, (0, 1), note=note)
+    table = Sheet("Thermal linearity: Δk of each input", head, rows, (0, 1, 4), note=note)
+    return without_empty_columns(table, BESIDE)
 
 
 def result_section(
