@@ -25,6 +25,7 @@ KERNEL = (
     ("display",),
     ("api", "", "kernel_names"),
     ("cli",),
+    ("__main__",),
 )
 GUESTS = {
     "imubayes_recordings": (

@@ -452,8 +452,7 @@ class QualificationReport(Record):
     pictures : what the pictures show, as numbers.
     certificate : what the laboratory states; None if it states nothing.
     missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
-    floors : quantities whose U is the capability of the laboratory.
-    unused_capabilities : quantities with a capability that the result does not have.
+    floors, unused_capabilities : quantities whose U is the capability of the laboratory; those that the result lacks.
     supplied : what the author of the report added; the package computed none of it.
     """
 
@@ -485,8 +484,7 @@ class QualificationReport(Record):
     @property
     def estimates(self) -> tuple[ReportedEstimate, ...]:
         """Everything that the tables state."""
-        stated = (*self.results, *self.mounting_angles, *self.standards, *self.combinations)
-        return (*stated, *self.thermal_linearity)
+        return *self.results, *self.mounting_angles, *self.standards, *self.combinations, *self.thermal_linearity
 
     def __getitem__(self, name: str) -> ReportedEstimate:
         """Return what is stated of a quantity by its name; raises `KeyError` for one that the report does not have."""
@@ -498,6 +496,5 @@ class QualificationReport(Record):
     @property
     def accepted(self) -> bool:
         """Whether the unit passed, or was not held against a specification; never where the fit did not converge."""
-        if self.conformity is not None:
-            return self.conformity.outcome in ("pass", "conditional_pass")
-        return self.convergence.converged
+        passed = "pass", "conditional_pass"
+        return self.conformity.outcome in passed if self.conformity is not None else self.convergence.converged
