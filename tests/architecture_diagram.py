@@ -25,7 +25,8 @@ def imports() -> dict[str, set[str]]:
     for file in SOURCES:
         here = room(name_of(file))
         for node, _ in statements(ast.parse(file.read_text())):
-            if here and isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imubayes"):
+            own = isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imubayes")
+            if own and here not in ("", "__main__"):
                 found.setdefault(here, set()).add(room(str(node.module)))
     return {here: others - {here, "", *FOUNDATION} for here, others in found.items() if here not in FOUNDATION}
 

@@ -49,7 +49,9 @@ class ThermometerError(TemperatureOffset):
     needs = ("temperature",)
     covariate = "temperature"
     confused_with = "gyro_run_bias and accel_run_bias if one coefficient alone depends on temperature"
-    offset: Scalar = parameter("degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature", "temperature")
+    offset: Scalar = parameter(
+        "degC", "normal(0, 1 degC)", (0.1, 20), "the true minus the stated temperature", "temperature"
+    )
 
 
 class ConverterThermometerError(TemperatureOffset):
@@ -63,7 +65,7 @@ class ConverterThermometerError(TemperatureOffset):
     covariate = "converter_temperature"
     confused_with = "thermometer_error if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature of the converter",
+        "degC", "normal(0, 1 degC)", (0.1, 20), "the true minus the stated temperature of the converter",
         "converter_temperature",
     )  # fmt: skip
 
@@ -102,11 +104,15 @@ class ThermometerCalibration(SharedThermometer):
         "gyro_bias and accel_bias: an offset changes them by the offset times their temperature coefficients"
     )
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "the true minus the indicated temperature at 25 °C",
         "thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of temperature, relative", "thermometer gain"
+        "%",
+        "normal(0, 0.3 %)",
+        (0.01, 2),
+        "the true minus the indicated change of temperature, relative",
+        "thermometer gain",
     )
 
 
@@ -123,10 +129,11 @@ class ConverterThermometerCalibration(SharedThermometer):
     covariate = "converter_temperature"
     confused_with = "thermometer_calibration if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature of the converter at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "the true minus the indicated temperature of the converter at 25 °C",
         "converter_thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of the converter's temperature, relative",
+        "%", "normal(0, 0.3 %)", (0.01, 2),
+        "the true minus the indicated change of temperature of the converter, relative",
         "converter_thermometer gain",
     )  # fmt: skip
