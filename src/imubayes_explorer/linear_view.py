@@ -17,9 +17,10 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes import Diagnosis
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
-from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
 from imubayes.criticism.evidence.hypothesis_evidence import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED

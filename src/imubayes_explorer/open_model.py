@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes import Diagnosis
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit, Heard, explained_fit
-from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.criticism.explanation_records import WeighedSoFar
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text

@@ -126,5 +126,5 @@ def test_the_noise_of_another_unit_is_refused(of_record, of_fit, refused):
     with pytest.raises(InputError) as caught:
         refuse_other_unit(record, unit, "noise.json")
     (issue,) = caught.value.issues
-    assert "noise record is of" in issue.what
+    assert "noise record is from" in issue.what
     assert "--noise-of-another-unit" in issue.remedy

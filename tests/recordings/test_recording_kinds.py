@@ -173,7 +173,7 @@ def test_temperature_in_rows_of_its_own(tmp_path: Path) -> None:
     read = read_recordings([file])
     warmth = read.campaign.tables["runs/recording.csv"]["temperature_degC"]
     np.testing.assert_allclose(warmth, 20 + ROWS[:, 0], atol=0.11)
-    assert "rows of its own" in notes(read)
+    assert "separate rows: interpolated" in notes(read)
 
 
 def test_forces_and_rates_in_rows_of_their_own(tmp_path: Path) -> None:

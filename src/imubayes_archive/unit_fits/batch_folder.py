@@ -27,7 +27,7 @@ from urllib.parse import unquote
 import polars as pl
 import tomlkit
 
-from imubayes.campaign import load_campaign
+from imubayes import load_campaign
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, only_writer, replacing

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
+from imubayes import Settings
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.noise_tests import judged_noise_in, projected
 from imubayes.criticism.diagnose import judge
@@ -31,7 +32,6 @@ from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
 from imubayes.foundations.errors import InputError
 from imubayes.inference.conditional_precision import conditional_precision
-from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.identifiability import from_data
 from imubayes.inference.laplace_marginal import Curvature

@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes import Diagnosis
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.errors import InputError, closest_first
 from imubayes.foundations.quantity_names import QuantityName, family_of
 from imubayes.foundations.units import same_dimension, to_si

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes import Diagnosis
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign, Instruments
 from imubayes.foundations.covariates import shown
 from imubayes.foundations.units import to_si

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes import Diagnosis
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, QuantityName, family_of, name_of
 from imubayes.inference.marginal import digits_deserved, digits_stated, draws_needed
 from imubayes.parameters.priors import Normal

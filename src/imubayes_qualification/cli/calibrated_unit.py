@@ -116,7 +116,7 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
         Result folder of a fit of the same campaign, whose fitted errors are taken out first.
     """
     with progress() as tell:
-        from imubayes.campaign import load_campaign
+        from imubayes import load_campaign
         from imubayes.display.layout import Report, print_report
         from imubayes.results.history_tree import refuse_other_data
         from imubayes.results.result import read_result

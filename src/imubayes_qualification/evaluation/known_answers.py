@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 import tomlkit
 
-from imubayes.campaign import load_campaign
+from imubayes import load_campaign
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes import Diagnosis
 from imubayes.effects.base import Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE, ambient_names

@@ -10,7 +10,8 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from imubayes.campaign import load_campaign, run_tables
+from imubayes import load_campaign
+from imubayes.campaign import run_tables
 from imubayes.campaign.campaign_reader import raw_log
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.covariates import COVARIATES

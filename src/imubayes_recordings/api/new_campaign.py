@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import tomlkit
 
-from imubayes.campaign import load_campaign
+from imubayes import load_campaign
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.campaign.file_schemas import ChannelEntry
 from imubayes.display.progress import progress_of

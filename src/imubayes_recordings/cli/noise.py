@@ -43,7 +43,7 @@ def noise(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.campaign import load_campaign
+    from imubayes import load_campaign
     from imubayes_recordings.noise_analysis.noise_record import static_noise
 
     for name, value in (("--shortest-tau", shortest_tau), ("--sample-rate", sample_rate or 0.0)):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.campaign_reader import load_campaign
+from imubayes import load_campaign
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
