@@ -139,6 +139,10 @@ def test_every_procedure_is_listed_with_its_columns_and_a_shipped_campaign():
 
 def test_every_page_of_measurements_is_in_the_contents():
     """A page that no table of contents names is a warning, at which the build of the site ends."""
-    contents = (ROOT / "src" / "docs" / "trust" / "index.md").read_text(encoding="utf-8").rpartition("```{toctree}")[2]
-    pages = {file.stem for file in (ROOT / "benchmarks" / "results").glob("*.md")}
+    contents = (
+        (reference_pages.ROOT / "src" / "docs" / "trust" / "index.md")
+        .read_text(encoding="utf-8")
+        .rpartition("```{toctree}")[2]
+    )
+    pages = {file.stem for file in (reference_pages.ROOT / "benchmarks" / "results").glob("*.md")}
     assert pages <= set(contents.split())
