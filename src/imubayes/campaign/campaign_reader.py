@@ -19,7 +19,6 @@ from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEn
 from imubayes.campaign.instruments import (
     build_instruments,
     build_thermometers,
-    check_thermometers,
     refuse_two_readings,
 )
 from imubayes.campaign.physical_checks import check_gravity, check_rows
@@ -374,7 +373,6 @@ def _check_runs(draft: Draft, tables: Tables, ledger: Ledger) -> None:
                 "use one of the allowed procedures",
             )
         stated.check_references(run, index, draft.names, ledger)
-        check_thermometers(run, index, draft.names["thermometer"], ledger)
         tables.check(run, index, ledger)
     refuse_two_readings(draft.runs, ledger)
     _check_gyros(draft, ledger)

@@ -21,7 +21,7 @@ from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntr
 from imubayes.campaign.reduction import BenchSettings
 from imubayes.campaign.run_tables import TableSource, known_columns
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.foundations.campaign_data import Campaign, Channel, Grade, Mounting, Run, Site, Table
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Channel, Grade, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import Issue, closest_first, refuse
 from imubayes.foundations.units import to_si
@@ -47,6 +47,10 @@ class RunReferences(Protocol):
     def table(self) -> str | None: ...
     @property
     def mounting(self) -> str | None: ...
+    @property
+    def thermometer(self) -> str | None: ...
+    @property
+    def converter_thermometer(self) -> str | None: ...
 
 
 def build_site(entry: SiteEntry) -> Site:
@@ -149,26 +153,27 @@ def refuse_reserved_names(channels: Mapping[int, ChannelEntry], names: Sequence[
 
 
 def check_references(run: RunReferences, index: int, names: Mapping[str, Sequence[str]], ledger: Ledger) -> None:
-    """Add an issue for a table or mounting that a run names but the file lacks, or that it needs and does not name.
+    """Add an issue for equipment that a run names but the file lacks, and for what it needs and does not name.
 
     Parameters
     ----------
     index : of the run in its file.
-    names : section (`table`, `mounting`) → names that the file defines.
+    names : section (`table`, `mounting`, `thermometer`) → names that the file defines.
     """
-    for section, name in (("table", run.table), ("mounting", run.mounting)):
-        defined = names[section]
-        if name is None and procedure_named(run.procedure).needs_table:
+    named = {"table": "table", "mounting": "mounting"} | dict.fromkeys(THERMOMETERS, "thermometer")
+    for key, section in named.items():
+        name, defined = getattr(run, key), names[section]
+        if name is None and key not in THERMOMETERS and procedure_named(run.procedure).needs_table:
             ledger.add(
                 f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
-                ("run", index, section),
+                ("run", index, key),
                 ", ".join(defined) or f"the name of a [[{section}]]",
                 f"name the {section} of the run",
             )
         elif name is not None and name not in defined:
             ledger.add(
                 f"run '{run.name}' refers to the {section} '{name}', which is not defined",
-                ("run", index, section),
+                ("run", index, key),
                 closest_first(name, defined) or f"none is defined: add a [[{section}]]",
                 f"correct the name, or add the {section}",
             )

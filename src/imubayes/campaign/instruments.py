@@ -1,26 +1,12 @@
 """Thermometers that runs share, and the other instruments, of `campaign.toml` as records."""
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping
 
-from imubayes.campaign.equipment import refuse_repeats
+from imubayes.campaign.equipment import RunReferences, refuse_repeats
 from imubayes.campaign.file_schemas import InstrumentsEntry, ThermometerEntry
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.foundations.campaign_data import THERMOMETERS, Instruments, Thermometer
-from imubayes.foundations.errors import closest_first
+from imubayes.foundations.campaign_data import Instruments, Thermometer
 from imubayes.foundations.units import to_si
-
-
-@runtime_checkable
-class ThermometerReferences(Protocol):
-    """The thermometers that a run entry, recorded or planned, refers to."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def thermometer(self) -> str | None: ...
-    @property
-    def converter_thermometer(self) -> str | None: ...
 
 
 def build_thermometers(entries: Mapping[int, ThermometerEntry], ledger: Ledger) -> dict[str, Thermometer]:
@@ -48,26 +34,7 @@ def _ratio(value: float | None, unit: float) -> float | None:
     return None if value is None else value * unit
 
 
-def check_thermometers(run: ThermometerReferences, index: int, defined: Sequence[str], ledger: Ledger) -> None:
-    """Add an issue for a thermometer that a run names but the file lacks.
-
-    Parameters
-    ----------
-    index : of the run in its file.
-    defined : names of the thermometers of the file.
-    """
-    for key in THERMOMETERS:
-        name = getattr(run, key)
-        if name is not None and name not in defined:
-            ledger.add(
-                f"run '{run.name}' refers to the thermometer '{name}', which is not defined",
-                ("run", index, key),
-                closest_first(name, defined) or "none is defined: add a [[thermometer]]",
-                "correct the name, or add the thermometer",
-            )
-
-
-def refuse_two_readings(runs: Mapping[int, ThermometerReferences], ledger: Ledger) -> None:
+def refuse_two_readings(runs: Mapping[int, RunReferences], ledger: Ledger) -> None:
     """Add an issue for a thermometer that reads the sensors in one run, and the converter in the same or another.
 
     The two temperatures have an error each.

@@ -13,6 +13,7 @@ import numpy as np
 from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
+from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
 
 Severity = Literal["error", "warning"]
@@ -138,7 +139,6 @@ PLATEAU_RATIO = 3  # so many times longer than any run of one value inside the r
 KELVIN_ABOVE = 200.0
 KELVIN_BELOW = 400.0  # 127 °C, beyond which few chambers go
 FAHRENHEIT_ABOVE = 100.0  # °C, beyond which few chambers go; 100 °F are 38 °C
-TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
 
 
@@ -263,7 +263,7 @@ class Monitor:
                 empty = np.flatnonzero(np.isnan(batch.numbers[name]))
                 bad = batch.not_finite.get(name, np.zeros(0, dtype=int))
                 self._empty.setdefault(name, _Tally()).note(batch.first + np.setdiff1d(empty, bad))
-        for name in TEMPERATURES:
+        for name in TEMPERATURE_COLUMNS:
             if name in batch.numbers:
                 hot = batch.numbers[name] > KELVIN_ABOVE
                 huge = batch.numbers[name] > KELVIN_BELOW

@@ -168,11 +168,11 @@ _HEARD_EVERY = 0.5
 
 
 def explained_fit(
-    fit: Fit, result: str = "RESULT", progress: Tell = silent, heard: Heard = lambda _: None
+    fit: Fit, result: str = "RESULT", progress: Tell = silent, heard: Heard | None = None
 ) -> "ExplainedFit | None":
     """Return a fit with the posterior over explanations, for questions about it; None of a fit that stands nowhere.
 
-    `heard` is called with what has been weighed so far while the search is at work.
+    `heard` is called with what has been weighed so far while the search is at work; without it nothing is summed up.
     """
     progress("predicting with every effect of the catalogue")
     responses = candidate_responses(fit) if np.isfinite(fit.z).all() else None
@@ -185,7 +185,7 @@ def explained_fit(
     return ExplainedFit(fit, responses, known, posterior, result)
 
 
-def _listener(fit: Fit, progress: Tell, heard: Heard) -> Callable[[ModelSearch], None]:
+def _listener(fit: Fit, progress: Tell, heard: Heard | None) -> Callable[[ModelSearch], None]:
     """Return what counts the hypotheses of a search aloud, and reports what they say from time to time.
 
     A search about another linearisation begins anew, and the count goes on.
@@ -196,7 +196,7 @@ def _listener(fit: Fit, progress: Tell, heard: Heard) -> Callable[[ModelSearch],
         nonlocal last, before, here
         before, here = before + here * (len(search.of.known) < here), len(search.of.known)
         progress(f"weighing the explanations, {before + here} so far")
-        if time.monotonic() - last > _HEARD_EVERY:
+        if heard is not None and time.monotonic() - last > _HEARD_EVERY:
             found = ExplanationPosterior(search, fit).inclusion
             if found:
                 heard(explanations.WeighedSoFar(hypotheses=before + here, inclusion=found))

@@ -185,6 +185,10 @@ COVARIATES: dict[str, Covariate] = {covariate.name: covariate for covariate in _
 """Name → covariate."""
 
 
+TEMPERATURE_COLUMNS = tuple(each.column for each in COVARIATES.values() if each.si == "degC")
+"""Columns of run tables that hold temperatures: of the sensors, and of the converter."""
+
+
 def recorded() -> tuple[Covariate, ...]:
     """Return the covariates that are columns of run tables."""
     return tuple(covariate for covariate in COVARIATES.values() if covariate.origin == "recorded")

@@ -278,7 +278,8 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
 def _check_runs(file: PlanFile, ledger: Ledger) -> None:
     instruments.refuse_two_readings(dict(enumerate(file.run)), ledger)
     equipment.refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
-    names = {"table": [table.name for table in file.table], "mounting": [seat.name for seat in file.mounting]}
+    entries = {"table": file.table, "mounting": file.mounting, "thermometer": file.thermometer}
+    names = {section: [entry.name for entry in own] for section, own in entries.items()}
     plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
     for place, run in enumerate(file.run):
         procedure = procedure_named(run.procedure)
@@ -292,6 +293,5 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
         else:
             judge_steps(run, procedure.plan, place, ledger)
         equipment.check_references(run, place, names, ledger)
-        instruments.check_thermometers(run, place, [each.name for each in file.thermometer], ledger)
         if procedure.injected:
             equipment.require_current_scale(file.channel, place, ledger)

@@ -13,7 +13,7 @@ On a grid of τₚ the other spreads are at their most probable values by Fisher
 Priors of spreads are flat, as for a single parameter.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,10 +46,12 @@ class SpreadMarginal:
 
 def spread_information(joint: JointPopulation) -> np.ndarray:
     """Return the Fisher information on the logarithms of the spreads, (P, P)."""
-    size = len(joint.variance)
-    carried = joint.precision[:, :, None] * joint.conditional
-    gains = joint.precision[:, :, None] * np.eye(size) - carried * joint.precision[:, None, :]
-    return 2 * np.einsum("np,npq,nq->pq", 1 / joint.precision, gains**2, 1 / joint.precision)
+    return 2 * np.einsum("np,npq,nq->pq", 1 / joint.precision, joint.gains**2, 1 / joint.precision)
+
+
+def confounded(joint: JointPopulation) -> np.ndarray:
+    """Return the parameters whose spreads are determined only together, (K,)."""
+    return np.flatnonzero(taken_by_others(joint) > CONFOUNDED)
 
 
 def taken_by_others(joint: JointPopulation) -> np.ndarray:
@@ -58,25 +60,23 @@ def taken_by_others(joint: JointPopulation) -> np.ndarray:
     return 1 - 1 / (np.diag(information) * np.diag(np.linalg.inv(information)))
 
 
-def spread_marginal(joint: JointPopulation, place: int, freedom: float) -> SpreadMarginal:
-    """Return what is known of one spread, those that are confounded with any not held.
+def spread_marginal(joint: JointPopulation, place: int, together: np.ndarray, freedom: float) -> SpreadMarginal:
+    """Return what is known of one spread, those that are determined only together not held.
 
     Parameters
     ----------
     joint : the population with its most probable spreads.
     place : of the parameter.
+    together : shape (K,), the parameters whose spreads are determined only together.
     freedom : degrees of freedom of its law; infinite for the normal law.
     """
-    others = np.flatnonzero(taken_by_others(joint) > CONFOUNDED)
-    others = others[others != place]
+    others = together[together != place]
     total = joint.variance[place] + joint.variance[others].sum()
     scale = np.sqrt(min(total, 1.0)) * np.geomspace(*_REACH, _POINTS)
     log_density, fitted = np.empty(_POINTS), list[JointPopulation]()
     found = joint
     for k, each in enumerate(scale):
-        variance = found.variance.copy()
-        variance[place] = each**2
-        found, log_density[k] = _others_fitted(replace(found, variance=variance), others)
+        found, log_density[k] = _others_fitted(found.with_variances(np.array([place]), np.array([each**2])), others)
         fitted.append(found)
     weight, log_evidence = normalised(log_density + np.log(np.gradient(scale)))
     centre, centre_variance = (np.array(part) for part in zip(*(_of_mean(each, place) for each in fitted), strict=True))
@@ -101,7 +101,7 @@ def _others_fitted(joint: JointPopulation, others: np.ndarray) -> tuple[JointPop
         step = np.linalg.solve(information, slope)
         step *= min(1.0, _LONGEST / np.max(np.abs(step)))
         while True:
-            tried = _moved(joint, others, step)
+            tried = joint.with_variances(others, joint.variance[others] * np.exp(2 * step))
             better = _log_density(tried, others)
             if better > value or np.max(np.abs(step)) < _SETTLED:
                 break
@@ -113,12 +113,6 @@ def _others_fitted(joint: JointPopulation, others: np.ndarray) -> tuple[JointPop
             break
     information = spread_information(joint)[np.ix_(others, others)] + np.eye(len(others))
     return joint, value - 0.5 * float(np.linalg.slogdet(information)[1])
-
-
-def _moved(joint: JointPopulation, places: np.ndarray, step: np.ndarray) -> JointPopulation:
-    variance = joint.variance.copy()
-    variance[places] *= np.exp(2 * step)
-    return replace(joint, variance=variance)
 
 
 def _log_density(joint: JointPopulation, others: np.ndarray) -> float:
@@ -139,8 +133,7 @@ def log_marginal(joint: JointPopulation) -> float:
 def spread_slope(joint: JointPopulation) -> np.ndarray:
     """Return the slope of `log_marginal` by the logarithms of the spreads, (P,)."""
     mean, covariance = joint.means
-    own = np.einsum("npq,nq->np", joint.conditional, joint.units.linear + joint.precision * (mean + joint.offsets))
-    apart = own - mean - joint.offsets
+    apart = joint.given[0] - mean - joint.offsets
     by_mean = joint.conditional * joint.precision[:, None, :] - np.eye(len(mean))
     shared = np.einsum("npq,qr,npr->np", by_mean, covariance, by_mean)
     square = apart**2 + np.einsum("npp->np", joint.conditional) + shared

@@ -145,14 +145,18 @@ class JointPopulation:
         return np.linalg.inv(self.units.information + self.precision[:, :, None] * np.eye(size))
 
     @cached_property
+    def gains(self) -> np.ndarray:
+        """Precision of each unit about μ, Gᵢ, (n, P, P)."""
+        carried = self.precision[:, :, None] * self.conditional
+        return self.precision[:, :, None] * np.eye(len(self.variance)) - carried * self.precision[:, None, :]
+
+    @cached_property
     def means(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (P,) and covariance (P, P) of μ."""
-        size = len(self.variance)
         carried = self.precision[:, :, None] * self.conditional
-        gains = self.precision[:, :, None] * np.eye(size) - carried * self.precision[:, None, :]
         # A parameter that a unit lacks says nothing of the mean.
-        linear = np.einsum("npq,nq->np", carried, self.units.linear) - np.einsum("npq,nq->np", gains, self.offsets)
-        covariance = np.linalg.inv(np.eye(size) + gains.sum(axis=0))
+        linear = np.einsum("npq,nq->np", carried, self.units.linear) - np.einsum("npq,nq->np", self.gains, self.offsets)
+        covariance = np.linalg.inv(np.eye(len(self.variance)) + self.gains.sum(axis=0))
         return covariance @ linear.sum(axis=0), covariance
 
     @cached_property
@@ -192,6 +196,12 @@ class JointPopulation:
         weights = self.weight.copy()
         weights[:, place] = 1.0 if weight is None else weight
         return replace(self, variance=variance, weight=weights)
+
+    def with_variances(self, places: np.ndarray, variances: np.ndarray) -> "JointPopulation":
+        """Return the population with other variances τ² of some parameters, (K,) each; weights stay."""
+        variance = self.variance.copy()
+        variance[places] = variances
+        return replace(self, variance=variance)
 
     def with_offsets(self, place: int, offsets: np.ndarray) -> "JointPopulation":
         """Return the population with offsets (n,) of one parameter, in its own unit."""

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from imubayes_archive.population.archive_covariates import covariates_of
-from imubayes_archive.population.confounded_spreads import CONFOUNDED, spread_marginal, taken_by_others
+from imubayes_archive.population.confounded_spreads import confounded, spread_marginal
 from imubayes_archive.population.joint_population import JointPopulation, JointUnits
 from imubayes_archive.population.noise_scale_population import ScaleLikelihoods, scale_population
 from imubayes_archive.population.population import (
@@ -124,11 +124,8 @@ def _joint(tables: Sequence[pl.DataFrame], units: pl.DataFrame, by_digest: pl.Da
         spreads = spreads.with_offsets(place, _explained(found, searched.site(place)))
     if any(found is not None and found.findings for found in structures):
         spreads = _settled(spreads)
-    confounded = taken_by_others(spreads) > CONFOUNDED
-    return [
-        _of_joint(spreads, place, together, known, found, bool(confounded[place]))
-        for place, found in enumerate(structures)
-    ]
+    shared = confounded(spreads)
+    return [_of_joint(spreads, place, together, known, found, shared) for place, found in enumerate(structures)]
 
 
 def _settled(spreads: JointPopulation) -> JointPopulation:
@@ -169,13 +166,13 @@ def _of_joint(
     together: pl.DataFrame,
     known: pl.DataFrame,
     structure: Structure | None,
-    confounded: bool,
+    shared: np.ndarray,
 ) -> UnitPopulation:
     """Return the population of one of the parameters whose means were estimated jointly.
 
     Parameters
     ----------
-    confounded : whether the units determine its spread only together with those of other parameters.
+    shared : shape (K,), the parameters whose spreads the units determine only together.
     """
     name, width, centre = spreads.units.names[place], spreads.units.width[place], spreads.units.centre[place]
     rows = together.filter(pl.col("parameter") == name)
@@ -190,8 +187,8 @@ def _of_joint(
     # A unit is compared with the scatter that all parameters make together, which is known.
     held = outcome.with_mean(centre + width * mean[place], width * float(np.sqrt(covariance[place, place])))
     outcome = held
-    if confounded:
-        marginal = spread_marginal(spreads, place, held.freedom)
+    if place in shared:
+        marginal = spread_marginal(spreads, place, shared, held.freedom)
         own, sd = marginal.mean, marginal.sd
         posterior = marginal.posterior.in_unit(centre, width)
         outcome = population_of(posterior, held.units, held.informative, held.information_error)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.reduction.log_survey import BlockSurvey
+from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 
 COARSE = 0.2  # °C; the rounding of a finer step, 0.06 °C rms, is below the error of thermometers
 COARSEST = 1.0  # °C; set-points of a chamber, which are recorded in place of readings, are farther apart
 _HALF = 0.5
-_THERMOMETERS = ("temperature_degC", "converter_temperature_degC")
 _LEAST_LEVELS = 3
 _HELD = 0.9
 """Share of blocks whose reading is that of the block before: noise that dithers a reading averages its steps."""
@@ -34,7 +34,7 @@ def coarse_temperatures(blocks: BlockSurvey) -> dict[str, CoarseTemperature]:
     if blocks.interval is None:
         return {}
     time = blocks.mean["time_s"]
-    found = {name: _interpolated(time, blocks.mean[name]) for name in _THERMOMETERS if name in blocks.mean}
+    found = {name: _interpolated(time, blocks.mean[name]) for name in TEMPERATURE_COLUMNS if name in blocks.mean}
     return {name: each for name, each in found.items() if each is not None}
 
 

@@ -18,6 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from imubayes.campaign.reduction.log_survey import BlockSurvey, Steady, steady_part
+from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.numerics import group_means
 
 WIDTH = 5  # blocks of the running median; an odd number
@@ -442,7 +443,7 @@ def _settled_bins(
 
 
 def _bins(blocks: BlockSurvey, first: int, last: int) -> list[tuple[int, int]]:
-    names = [n for n in ("converter_temperature_degC", "temperature_degC") if n in blocks.mean]
+    names = [name for name in TEMPERATURE_COLUMNS if name in blocks.mean]
     temperatures = [_smooth(blocks.mean[name][first:last]) for name in names]
     time = blocks.mean["time_s"][first:last] if "time_s" in blocks.mean else np.zeros(last - first)
     edges, begin = [0], 0
