@@ -1,7 +1,7 @@
 """All mistakes of a set-up, from the most to the least usual.
 
-Of those that explain the outputs equally well the first is named.  A new mistake is its class, its place here, its words
-in `remedies` or `record_remedies`, and its name in `campaign.stream_checks`.
+Of those that explain the outputs equally well the first is named.  A new mistake is its class, its place here, its
+words in `remedies` or `record_remedies`, and its name in `campaign.stream_checks`.
 """
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
