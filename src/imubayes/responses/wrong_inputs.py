@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.compiled.in_numpy import in_numpy
-from imubayes.foundations.arrays import Array, exponential, on_device
+from imubayes.foundations.arrays import Array, exponential
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
 from imubayes.model.assembly import nodes_of
