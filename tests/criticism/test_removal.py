@@ -55,6 +55,11 @@ def test_the_fit_comes_back_to_what_it_was(first, second, third):
     assert max(abs(each.in_sd) for each in moved) < 0.01
 
 
+def test_an_effect_that_the_campaign_takes_as_exact_is_not_added(first):
+    with pytest.raises(InputError, match="would add nothing: the campaign takes this error as exactly 0"):
+        extend(first.fit, ["thermometer_error"])
+
+
 def test_what_a_removal_costs_is_the_reverse_of_what_the_addition_brought(second, third):
     assert [choice.effect for choice in third.removed] == [LACKING]
     assert third.added == ()

@@ -15,6 +15,7 @@ from scipy.linalg import solve_triangular
 from imubayes.criticism.explanation_records import CoefficientEstimate, EffectChoice
 from imubayes.effects.base import MotionEffect
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.records import finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
@@ -24,7 +25,7 @@ from imubayes.model.bind import Model, bind, dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import Problem
-from imubayes.parameters.declarations import Declared, Layout, Parameter
+from imubayes.parameters.declarations import Declared, Layout, Parameter, declared_parameters
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.responses.candidate_effects import fitting_channels
 
@@ -189,6 +190,7 @@ def _extension(
 ) -> ChangedModel:
     old, model = before.model, bind(spec, before.model.campaign, registry)
     dry_run(model.problem, model.assembly.effects, spec)
+    refuse(_stated_as_exact(model, len(old.spec.effects)))
     null, new = model.layout.carried(old.layout, before.z, null_point(model)), new_in(model.layout, old.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
@@ -199,6 +201,21 @@ def _extension(
         h[place] = h[place] if value is None else value
     found = _first_step(model, null, h, new, hints, _without_new(before, model, new))
     return replace(found, added=beyond(model.spec, old.spec))
+
+
+def _stated_as_exact(model: Model, known: int) -> Iterator[Issue]:
+    """Yield complaints about effects after the known ones of which the campaign leaves no parameter uncertain."""
+    uncertain = {effect.name for effect in model.assembly.effects if effect.parameters}
+    for entry in model.spec.effects[known:]:
+        declared = declared_parameters(model.registry.find(entry.name, entry.where))
+        if declared and entry.name not in uncertain:
+            yield Issue(
+                f"'{entry.name}' would add nothing: the campaign takes this error as exactly 0",
+                entry.where,
+                "an error of which the campaign states an uncertainty, or the model a prior",
+                f"state the uncertainty in campaign.toml (imubayes effects {entry.name} names its parameters), or add "
+                f"the effect to the model file with prior = {{ {next(iter(declared))} = … }}",
+            )
 
 
 def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
