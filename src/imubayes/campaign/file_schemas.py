@@ -129,6 +129,13 @@ class ChannelEntry(_Entry):
     current_mA_per_g: float | None = None
     """nominal current of the accelerometer; required if a current is fed into its converter"""
 
+    @field_validator("output_unit")
+    @classmethod
+    def _is_stated(cls, value: str) -> str:
+        if value == "?":
+            raise ValueError("the unit of the output is not stated")
+        return value
+
 
 class TableEntry(_Entry):
     """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact.

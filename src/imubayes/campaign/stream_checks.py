@@ -128,7 +128,7 @@ class Finding:
 
     def __str__(self) -> str:
         run = f" in run '{self.run}'" if self.run else ""
-        return f"{self.name} ({self.severity}){run}: {self.what} [{self.where}]; {self.remedy}"
+        return f"{self.severity}: {self.name}{run}: {self.what} [{self.where}]; {self.remedy}"
 
 
 GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap

@@ -137,7 +137,7 @@ class Comparison:
         if self.pictures:
             yield from self.notes
             count = wording.counted(len(self.pictures), "figure")
-            yield f"{count} in {self.folder / FIGURES}; look at these first: {self.page}"
+            yield f"{count} in {self.folder / FIGURES}; the most important ones: {self.page}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
@@ -351,7 +351,7 @@ def print_comparison(comparison: Comparison) -> None:
     if comparison.pictures:
         count = wording.counted(len(comparison.pictures), "figure")
         console.print(f"{count} in {comparison.folder / FIGURES}", highlight=False, soft_wrap=True)
-        console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
+        console.print(f"the most important ones: {comparison.page}", highlight=False, soft_wrap=True)
 
 
 @contextmanager

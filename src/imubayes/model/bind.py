@@ -461,7 +461,7 @@ def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:
             pair = f"'{effect.name}' and '{other.name}' do not go together"
             what = f"the effect '{effect.name}' is listed twice" if same else pair
             on = f" on {', '.join(shared)}" if shared else ""
-            remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
+            remedy = f"keep one of them, or give each its own 'channels'; the other one: {other.spec.where}"
             yield Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy)
 
 

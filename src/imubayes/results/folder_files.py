@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import PATIENCE, changing, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
@@ -93,6 +94,9 @@ def missing(folder: Path) -> list[Issue]:
         return [Issue("there is no such result folder", str(folder), listed, remedy)]
     if not folder.is_dir():
         return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    if (folder / CAMPAIGN_FILE).is_file() and not (folder / SUMMARY).is_file():
+        remedy = "give the folder that a fit of this campaign wrote (--out)"
+        return [Issue("this is a campaign folder, not a result folder", str(folder), allowed, remedy)]
     if _only_begun(folder):
         return [Issue("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
     absent = [name for name in _NEEDED if not (folder / name).is_file()]

@@ -142,7 +142,8 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: S
     units : the table of units of the model.
     doubts : why units need a person.
     """
-    said = f"{counted(state.done, 'unit')} fitted in {_duration(state.seconds)}, {state.before} done before"
+    before = f"; {counted(state.before, 'unit')} processed before" if state.before else ""
+    said = f"{counted(state.done, 'unit')} processed in {_duration(state.seconds)}{before}"
     failed = units.filter(pl.col("status") != "fitted")
     rows = [
         [str(row[name]) for name in ("unit", "status", "reason", "file")]
