@@ -99,8 +99,15 @@ def test_every_sentence_that_is_explained_is_one_that_the_program_says_and_every
 def test_the_limits_of_the_noise_tests_are_those_of_the_page():
     page = (DOCS / "how-to" / "what-the-program-says.md").read_text(encoding="utf-8")
     section = page.partition("## How the noise is judged")[2].partition("\n## ")[0]
-    limits = (adequacy_record._NOISE_CONTRADICTED_P, noise_tests._FALSE_ALARM_INTERVALS, noise_tests._SUSPECTED_INTERVALS_P)
-    assert re.findall(r"0\.\d+", section) == [str(limits[place]) for place in (0, 1, 1, 2)]
+    scale, test, suspected = (
+        str(limit)
+        for limit in (
+            adequacy_record._NOISE_CONTRADICTED_P,
+            noise_tests._FALSE_ALARM_INTERVALS,
+            noise_tests._SUSPECTED_INTERVALS_P,
+        )
+    )
+    assert re.findall(r"0\.\d+", section) == [scale, test, test, suspected]
     assert noise_tests._COARSE_STEP == 2
     assert "twice the noise of a row" in section
 

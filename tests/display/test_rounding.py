@@ -68,7 +68,7 @@ def test_significant_digits(value, digits, expected):
 
 
 @pytest.mark.parametrize(
-    ("value", "expected"), [(0.4101, "0.41"), (9.998, "10.00"), (12.34, "12.3"), (123456.0, "1.2e5"), (None, "–")]
+    ("value", "expected"), [(0.4101, "0.41"), (9.998, "10.00"), (12.34, "12.3"), (123456.0, "1.2e+05"), (None, "–")]
 )
 def test_ratio(value, expected):
     assert ratio_text(value) == expected

@@ -382,7 +382,7 @@ class Monitor:
     def _at(
         self, name: str, tally: _Tally, column: str, what: str, allowed: str, remedy: str, severity: Severity = "error"
     ) -> list[Finding]:
-        """Return a finding at the first row of a tally; none where the tally is empty."""
+        """Return a finding at the first row of a tally; none if the tally is empty."""
         where = f"{self.source.place(tally.first)}, column '{column}'"
         return [Finding(name, severity, self.run, what, where, allowed, remedy)] if tally.count else []
 
