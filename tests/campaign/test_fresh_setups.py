@@ -120,7 +120,7 @@ def test_runs_that_overlap_are_named(fresh: Path, share: float, severity: str):
     files.save()
     found = said_of(fresh)
     assert set(found) == ({"runs_overlap"} if severity else set())
-    assert not severity or f"({severity})" in found["runs_overlap"]
+    assert not severity or found["runs_overlap"].startswith(f"{severity}: ")
     assert not severity or f"'{first['name']}' and '{second['name']}'" in found["runs_overlap"]
 
 
