@@ -283,7 +283,7 @@ class EvaluationEntry(_Entry):
     """Limits of the classical evaluation and of the decisions made from a fit."""
 
     delta_k_threshold_percent: Positive | None = None
-    """largest change of the gain by current injection that still is one line for all currents"""
+    """largest Δk up to which one line applies to all inputs of a converter"""
 
 
 class CampaignFile(_Entry):

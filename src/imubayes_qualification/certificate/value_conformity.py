@@ -83,8 +83,7 @@ def conformity(
 
     Parameters
     ----------
-    measured : result of `propagate`; or ``report[name]``; or (estimate, u) of a normal distribution; or draws, shape
-        (S,), S ≥ 400.
+    measured : of `propagate`; or ``report[name]``; or (estimate, u), if normal; or draws, shape (S,), S ≥ 400.
     lower, upper : limits.
     rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
         conformance_probability, specific_risk, or global_risk, which needs a production.
