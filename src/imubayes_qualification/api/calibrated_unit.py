@@ -261,7 +261,7 @@ def navigation_impact(
         site = found.fit.model.campaign.site
         at = site.latitude if latitude is None else math.radians(latitude)
         mission = level_mission(duration, at, speed, math.radians(heading))
-        moving = f"{speed:g} m/s, heading {heading:g}°" if speed else "at rest"
+        moving = f"at {speed:g} m/s, heading {heading:g}°" if speed else "at rest"
         name = f"{duration / 60:g} min {moving}, latitude {math.degrees(at):.4g}°"
     constants = constants_of(found)
     diagnosis = read_diagnosis(found.folder) if found.folder is not None else None
