@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from imubayes.inference.experiment_design import _gradients_of_draws
+from imubayes.inference.procedure_contributions import _gradients_of_draws
 
 
 def test_a_linear_quantity_has_its_gradient_and_an_angle_near_zero_has_none():

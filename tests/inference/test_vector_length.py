@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.inference.experiment_design import expected_length_deviation, length_deviation
+from imubayes.inference.vector_length import expected_length_deviation, length_deviation
 
 TURNED = np.array([[1.0, 0.5], [0.5, 2.0]])
 

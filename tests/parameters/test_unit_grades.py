@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from imubayes.campaign.equipment import grade_of
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.effects import EFFECTS
 from imubayes.foundations.campaign_data import GRADES, Campaign, graded_prior
 from imubayes.model.bind import bind

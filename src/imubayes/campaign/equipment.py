@@ -1,13 +1,7 @@
-"""Site, channels, tables and mountings of `campaign.toml` as SI records, named directions, and the grade of a unit.
+"""Site, channels, tables and mountings of `campaign.toml` as SI records.
 
 Datasheet units are converted and the geometry is validated: input axes must not be zero, mountings must be rotations,
-names must be unique.  In geographic positions `i_axis` and `o_axis` give the directions of a gyro's input and output
-axes, E W N S U D.  A servo-table run records the table angle, which is therefore an observed channel.
-
-The grade of a unit is that which the campaign states, else it follows from the noise of its channels.  Noise
-distinguishes the technologies better than anything else that is known before a fit.  One raw sample of a MEMS gyro for
-consumers scatters by 0.05 to 0.3 deg/s, of an industrial one by 0.02 to 0.05 deg/s, of a ring-laser, fibre-optic or
-tactical MEMS gyro by less; one of their accelerometers by more than 1 mg, by 0.5 to 1 mg, and by less.
+names must be unique.  A servo-table run records the table angle, which is therefore an observed channel.
 """
 
 import math
@@ -19,11 +13,11 @@ import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
 from imubayes.campaign.reduction import BenchSettings
-from imubayes.campaign.run_tables import TableSource, known_columns
+from imubayes.campaign.run_tables import known_columns
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Channel, Grade, Mounting, Run, Site, Table
+from imubayes.foundations.campaign_data import THERMOMETERS, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
-from imubayes.foundations.errors import Issue, closest_first, refuse
+from imubayes.foundations.errors import closest_first
 from imubayes.foundations.units import to_si
 from imubayes.procedures import PROCEDURES, procedure_named
 
@@ -292,76 +286,6 @@ def _times(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-DIRECTIONS = {
-    "E": (1.0, 0.0, 0.0),
-    "W": (-1.0, 0.0, 0.0),
-    "N": (0.0, 1.0, 0.0),
-    "S": (0.0, -1.0, 0.0),
-    "U": (0.0, 0.0, 1.0),
-    "D": (0.0, 0.0, -1.0),
-}
-"""Letter → unit vector in the local level (East, North, Up)."""
-
-DIRECTION_COLUMNS = ("i_axis", "o_axis")
-
-
-def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Channel]) -> np.ndarray:
-    """Return the rotation from body to local level at the given rows of a table, shape (len(rows), 3, 3).
-
-    The axes are those of the campaign's first gyro, or of its first channel where it has none.
-
-    Raises
-    ------
-    InputError
-        for a letter that is not a direction, or parallel input and output axes.
-    """
-    letters = {name: [text for batch in source for text in batch.texts[name]] for name in DIRECTION_COLUMNS}
-    found, issues = [], []
-    for row in rows:
-        pair = [letters[name][row] or "" for name in DIRECTION_COLUMNS]
-        issues += _judge(pair, source.place(row))
-        if not issues:
-            found.append(attitude_of(pair, channels))
-    refuse(issues)
-    return np.array(found).reshape(-1, 3, 3)
-
-
-def attitude_of(pair: Sequence[str], channels: Sequence[Channel]) -> np.ndarray:
-    """Return the rotation from body to local level with input and output axis in two directions, shape (3, 3)."""
-    reference = next((channel for channel in channels if channel.kind == "gyro"), channels[0])
-    i, o = (np.array(DIRECTIONS[letter]) for letter in pair)
-    return np.stack([i, o, np.cross(i, o)], axis=1) @ reference.axes
-
-
-def perpendicular(pair: Sequence[str]) -> bool:
-    """Return whether two letters are perpendicular directions."""
-    first, second = (np.array(DIRECTIONS.get(letter, (np.nan,) * 3)) for letter in pair)
-    return bool(abs(first @ second) < 0.5)
-
-
-def _judge(pair: Sequence[str], where: str) -> list[Issue]:
-    unknown = [
-        Issue(
-            f"'{letter}' is not a direction",
-            f"{where}, column '{name}'",
-            ", ".join(DIRECTIONS),
-            "give the direction of the axis as one letter: East, West, North, South, Up or Down",
-        )
-        for name, letter in zip(DIRECTION_COLUMNS, pair, strict=True)
-        if letter not in DIRECTIONS
-    ]
-    if unknown or perpendicular(pair):
-        return unknown
-    return [
-        Issue(
-            f"the output axis points {pair[1]} and the input axis {pair[0]}: they are parallel",
-            f"{where}, columns 'i_axis' and 'o_axis'",
-            "two perpendicular directions",
-            "correct the letters of this row",
-        )
-    ]
-
-
 ANGLE, ANGLE_UNIT = "table_angle", "deg"
 
 
@@ -399,21 +323,3 @@ def _with_angle(run: Run) -> Run:
         samples=samples,
         notes=notes,
     )
-
-
-# Least standard deviation of one raw sample, rad/s and m/s², of a consumer and of an industrial unit.
-LEAST_NOISE: dict[str, tuple[float, float]] = {
-    "gyro": (to_si("deg/s") * 0.05, to_si("deg/s") * 0.02),
-    "accelerometer": (to_si("mg"), 0.5 * to_si("mg")),
-}
-
-
-def grade_of(campaign: Campaign, kind: str) -> Grade:
-    """Return the grade of the channels of a kind; tactical where nothing is known of their noise."""
-    if campaign.grade is not None:
-        return campaign.grade
-    noise = [channel.noise / abs(channel.scale_si) for channel in campaign.of_kind(kind) if channel.noise is not None]
-    if kind not in LEAST_NOISE or not noise:
-        return "tactical"
-    typical, (consumer, industrial) = float(np.median(noise)), LEAST_NOISE[kind]
-    return "consumer" if typical >= consumer else "industrial" if typical >= industrial else "tactical"

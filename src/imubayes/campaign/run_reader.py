@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imubayes.campaign import reduction as reduce
-from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.axis_directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_clock, check_log, check_rest, check_rows
 from imubayes.campaign.reduction.carried_rows import reduce_motion

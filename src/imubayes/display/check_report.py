@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.campaign import Inspection
-from imubayes.campaign.equipment import grade_of
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.display.fit_cautions import left_out_lines
 from imubayes.display.layout import Report, Sheet, cells
 from imubayes.display.numbers_and_labels import listed

@@ -21,7 +21,7 @@ from imubayes.display.numbers_and_labels import (
     value_and_sd,
 )
 from imubayes.foundations.campaign_data import SetAside
-from imubayes.foundations.quantity_names import SCALE_FACTOR, family_of
+from imubayes.foundations.quantity_names import SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
 from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
@@ -375,7 +375,7 @@ def conflict_line(conflict: PriorConflict) -> str:
 def remedy(conflict: PriorConflict) -> str:
     """Return which line of which file to change so that the data decide."""
     if conflict.stated_in == "campaign":
-        owner = conflict.name[conflict.name.index("[") + 1 : -1]
+        owner = QuantityName.of(conflict.name).label
         return f"If the data are right: campaign.toml, a larger uncertainty of '{owner}'."
     wider = conflict.wider or "a wider prior"
     return (

@@ -192,10 +192,11 @@ class SheetTable(Table):
 
 @dataclass(frozen=True)
 class _Width:
-    """Width of a column where there is room, where names and numbers stay whole, and where words do."""
+    """Width of a column with room, with whole names and values, with values beside uncertainties, with whole words."""
 
     natural: int
     whole: int
+    values: int
     words: int
 
     @classmethod
@@ -204,18 +205,22 @@ class _Width:
         natural = max(widest, len(head))
         longest = max((len(word) for text in (head, *texts) for word in text.split()), default=0)
         if place > 0 and not any(" " in text for text in texts):
-            return cls(natural, longest, longest)  # single words; the heading may wrap
+            return cls(natural, longest, longest, longest)  # single words; the heading may wrap
         # Names cut in two are not told apart, and numbers stay beside their uncertainty.
         numbers = any(sign in text for text in texts for sign in _BETWEEN_NUMBERS)
         prose = any(word.isalpha() and len(word) > 1 for text in texts for word in text.split())
         whole = longest if prose and not numbers else widest
-        return cls(natural, max(whole, longest), min(longest, _MOST_WORD) if place else min(widest, _LEAST_NAME))
+        words = min(longest, _MOST_WORD) if place else min(widest, _LEAST_NAME)
+        joined = (text.replace(" ± ", "_±_").split() for text in texts)
+        values = max([words, *(len(each) for parts in joined for each in parts if "±" in each)])
+        return cls(natural, max(whole, longest), values if place else longest, words)
 
 
 def _fitted(columns: Sequence[_Width], room: int) -> list[int]:
-    """Return the widths of columns in so much room: the widest text is wrapped first, then names, words at last."""
+    """Return the widths of columns in so much room: text is wrapped before units, units before names, values last."""
     widths = [column.natural for column in columns]
-    for least in ([column.whole for column in columns], [column.words for column in columns], [1] * len(columns)):
+    whole, values, words = ([getattr(column, each) for column in columns] for each in ("whole", "values", "words"))
+    for least in (whole, values, words, [1] * len(columns)):
         while sum(widths) > room:
             spare = [width if width > floor else 0 for width, floor in zip(widths, least, strict=True)]
             if not any(spare):

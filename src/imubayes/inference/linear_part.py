@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.foundations.arrays import on_host
+from imubayes.foundations.arrays import cholesky, on_host, solve_lower
 from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Curvature, inverse_of_precision
@@ -170,7 +170,8 @@ def linear_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h:
     """Return the moments of linear quantities with gradients (Q, P), stretched, given noise scales h, (n, H)."""
     variances, means = [], []
     for given in part.in_blocks(problem, h):
-        along = np.linalg.solve(given.precision, gradients.T)
-        variances.append(np.einsum("qp,npq->nq", gradients, along))
-        means.append(np.einsum("npq,np->nq", along, given.slope))
-    return LinearMoments(np.concatenate(variances), np.concatenate(means))
+        for factor, slope in zip(cholesky(given.precision), given.slope, strict=True):
+            half = solve_lower(factor, np.column_stack([gradients.T, slope]))
+            variances.append(np.sum(half[:, :-1] ** 2, axis=0))
+            means.append(half[:, -1] @ half[:, :-1])
+    return LinearMoments(np.array(variances), np.array(means))

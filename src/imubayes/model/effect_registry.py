@@ -17,7 +17,8 @@ from imubayes.effects.base import MotionEffect, Stage
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.quantity_names import QuantityName
-from imubayes.model.model_file import EffectSpec, ModelSpec, note_run
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.model.trusted_files import note_run
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.declarations import declared_parameters
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import equinox as eqx
 import numpy as np
 
-from imubayes.campaign.equipment import grade_of
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.foundations.arrays import Array, Float, Scalars, cho_solve, namespace, solve_lower
 from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Channel, Run, Table, Thermometer
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse

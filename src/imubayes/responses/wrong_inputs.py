@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.compiled.in_numpy import in_numpy
-from imubayes.foundations.arrays import Array, exponential, on_device
+from imubayes.foundations.arrays import Array, exponential
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
 from imubayes.model.assembly import nodes_of
@@ -205,7 +205,7 @@ def problem_of(model: Model, campaign: Campaign) -> Problem | None:
     same = nodes.turns == model.nodes.turns and np.array_equal(nodes.row_of, model.nodes.row_of)
     if not same or not np.array_equal(nodes.stand, model.nodes.stand):
         return None
-    arrays, value = on_device(nodes_of(campaign, nodes)), np.asarray(model.problem.observations.value)
+    arrays, value = nodes_of(campaign, nodes), np.asarray(model.problem.observations.value)
     if any(run.observed is not known.observed for run, known in zip(campaign.runs, before.runs, strict=True)):
         value = value + (join_entries(campaign).value - join_entries(before).value)
     return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))

@@ -23,7 +23,8 @@ from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import PATIENCE, changing, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
-from imubayes.model.model_file import read_model, trust_files
+from imubayes.model.model_file import read_model
+from imubayes.model.trusted_files import trust_files
 
 AGAIN = "run `imubayes fit` again with this folder as --out and --replace"
 

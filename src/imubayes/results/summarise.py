@@ -30,12 +30,13 @@ from imubayes.inference.determined_combinations import (
     members,
 )
 from imubayes.inference.ensemble_sampling import Chains
-from imubayes.inference.experiment_design import QuantityDraws, contributions, next_runs
+from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.plausibility import prior_conflicts
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
+from imubayes.inference.procedure_contributions import QuantityDraws, contributions
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures import declared_combinations
 from imubayes.procedures.converter_temperature import THRESHOLD

@@ -29,7 +29,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from imubayes.campaign import equipment, instruments
+from imubayes.campaign import axis_directions, equipment, instruments
 from imubayes.campaign import file_schemas as schemas
 from imubayes.campaign.run_reader import build_run
 from imubayes.campaign.toml_documents import Ledger, read_document
@@ -128,7 +128,7 @@ def judge_steps(run: PlannedRun, rules: base.PlanRules, place: int, ledger: Ledg
 
 def _judge_directions(run: PlannedRun, place: int, ledger: Ledger) -> None:
     for index, pair in enumerate(run.directions or ()):
-        if len(pair) != 2 or not equipment.perpendicular(pair):
+        if len(pair) != 2 or not axis_directions.perpendicular(pair):
             ledger.add(
                 f"'{pair}' does not name two perpendicular directions",
                 ("run", place, "directions", index),
@@ -244,7 +244,7 @@ def _columns(
 def _attitude(run: PlannedRun, rows: base.PlannedRows, channels: Sequence[Channel]) -> np.ndarray | None:
     if run.directions is None:
         return rows.attitude
-    return np.stack([equipment.attitude_of(pair, channels) for pair in run.directions])
+    return np.stack([axis_directions.attitude_of(pair, channels) for pair in run.directions])
 
 
 def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:

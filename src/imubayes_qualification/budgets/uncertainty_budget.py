@@ -15,7 +15,6 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from imubayes.inference.experiment_design import NEAR, Components, components_near_zero
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
 from imubayes.inference.linear_part import (
@@ -25,6 +24,7 @@ from imubayes.inference.linear_part import (
     thinned_scales,
 )
 from imubayes.inference.parameter_fit import Linearised, linearise
+from imubayes.inference.vector_length import NEAR, Components, components_near_zero
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform

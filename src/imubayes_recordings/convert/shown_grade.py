@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.equipment import LEAST_NOISE, grade_of
+from imubayes.campaign.unit_grade import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.laplace_marginal import climb, inverse_of_precision

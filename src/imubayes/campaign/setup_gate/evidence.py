@@ -20,7 +20,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from imubayes.campaign.equipment import grade_of
 from imubayes.campaign.setup_gate.error_model import (
     COMPENSATED,
     G_SENSITIVITIES,
@@ -47,6 +46,7 @@ from imubayes.campaign.setup_gate.setup_view import (
     stacked,
     views_of,
 )
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.numerics import cross_matrices
 

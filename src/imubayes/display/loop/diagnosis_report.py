@@ -23,6 +23,7 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.wording import counted
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
+_RANKING = "Effects by the probability that they are missing"
 # A bias below this share of a posterior standard deviation is not worth a word.
 _SMALL_BIAS = 0.1
 
@@ -52,9 +53,8 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         "effects of one group."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
-    title = "Effects by the probability that they are missing"
-    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", before + after)
-    return Sheet(title, head, rows, (0, 1, 2), "", before + odds + after, narrow=narrow)
+    narrow = Sheet(_RANKING, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", before + after)
+    return Sheet(_RANKING, head, rows, (0, 1, 2), "", before + odds + after, narrow=narrow)
 
 
 def _more(count: int) -> str:
@@ -212,7 +212,8 @@ def _parameter(name: str, term: FormulaTerm) -> str:
     return f'    {name}: Scalar = parameter("{term.unit}", "{prior}", ({low:g}, {wide:g}), "the coefficient")'
 
 
-# Rows of the tables that the verdict rests on, so that the whole fits on a screen of 24 lines.
+# Rows of the tables that the verdict rests on, so that the whole fits on a screen of 24 lines.  An effect that the
+# verdict names has its row nevertheless.
 _MOST_LEADING = 5
 
 
@@ -242,7 +243,9 @@ def leading_sheets(found: Diagnosis) -> list[Sheet]:
     }.get(found.verdict, [ranking_sheet(found)])
     sheets = [sheet for sheet in sheets if sheet.rows]
     each = max(_MOST_LEADING // max(len(sheets), 1), 2)
-    return [sheet.first(each, note="") for sheet in sheets]
+    members = {member.effect for group in found.groups for member in group.candidates}
+    named = len(members & {line.effect for line in found.ranking[:_MOST_RANKED]})
+    return [sheet.first(max(each, named) if sheet.title == _RANKING else each, note="") for sheet in sheets]
 
 
 def _omitted(found: Diagnosis) -> list[str]:
