@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 
 import imubayes
+from imubayes.adequacy import adequacy_record, noise_tests
 from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.cli.main import app
@@ -93,6 +94,22 @@ def test_every_sentence_that_is_explained_is_one_that_the_program_says_and_every
     assert [phrase for phrase in said if phrase not in source] == []
     diagnosed = page.partition("## `diagnose`")[2]
     assert all(f"| {verdict.replace('_', ' ')} |" in diagnosed for verdict in get_args(Verdict))
+
+
+def test_the_limits_of_the_noise_tests_are_those_of_the_page():
+    page = (DOCS / "how-to" / "what-the-program-says.md").read_text(encoding="utf-8")
+    section = page.partition("## How the noise is judged")[2].partition("\n## ")[0]
+    scale, test, suspected = (
+        str(limit)
+        for limit in (
+            adequacy_record._NOISE_CONTRADICTED_P,
+            noise_tests._FALSE_ALARM_INTERVALS,
+            noise_tests._SUSPECTED_INTERVALS_P,
+        )
+    )
+    assert re.findall(r"0\.\d+", section) == [scale, test, test, suspected]
+    assert noise_tests._COARSE_STEP == 2
+    assert "twice the noise of a row" in section
 
 
 def test_the_pattern_of_a_residual_is_named_by_its_simplest_curve():

@@ -128,7 +128,7 @@ def _keys(schema: Mapping[str, Any]) -> str:
     for key, value in schema.get("properties", {}).items():
         stated = value.get("default")
         if isinstance(stated, dict):
-            stated = ", ".join(f"{name} = {each}" for name, each in stated.items() if each is not None)
+            stated = ", ".join(f"{name} = {each}" for name, each in stated.items() if each)
         default = "required" if key in required else f"`{stated}`" if stated not in (None, "", []) else "–"
         rows.append((f"`{key}`", value.get("description") or known.get(key, ""), _type(value), default))
     if rows:

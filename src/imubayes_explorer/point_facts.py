@@ -3,7 +3,7 @@
 import numpy as np
 
 from imubayes.display.figure_style import numbers
-from imubayes.display.numbers_and_labels import pretty, rounded, significant, value_and_sd
+from imubayes.display.numbers_and_labels import pretty, rounded, significant, value_and_sd, with_minus
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record
 from imubayes_explorer.point_table import PointTable
@@ -39,13 +39,13 @@ def point_facts(table: PointTable, entry: int) -> PointFacts:
     found = [
         (row["channel"], f"{' ± '.join(value_and_sd(row['observed'], sd))} {unit}"),
         ("model", f"{value_and_sd(row['observed'] - misfit, sd)[0]} {unit}"),
-        ("residual", f"{rounded((misfit,), sd)[0]} {unit}".replace("-", "−")),
-        ("over known noise", significant(float(table.view.whitened()[entry]), 3).replace("-", "−")),
+        ("residual", with_minus(f"{rounded((misfit,), sd)[0]} {unit}")),
+        ("over known noise", with_minus(significant(float(table.view.whitened()[entry]), 3))),
     ]
     for axis in table.abscissae:
         value = float(table.column(axis.name)[entry])
         if axis.name != "reading" and np.isfinite(value):
-            found.append((axis.phrase, f"{significant(value, 5)} {axis.unit}".strip().replace("-", "−")))
+            found.append((axis.phrase, with_minus(f"{significant(value, 5)} {axis.unit}".strip())))
     return PointFacts(
         entry=entry, run=str(row["run"]), row=int(numbers(table.table, "row")[entry]) + 1, channel=str(row["channel"]),
         values=tuple(found),

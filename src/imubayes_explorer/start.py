@@ -76,13 +76,13 @@ def explore(
     place: Result | str | Path | None = None, model: str | Path | None = None, out: str | Path | None = None,
     *, port: int = 0, browser: bool = False,
 ) -> Exploration:  # fmt: skip
-    """Serve the loop on a page of this machine: where the model fails, what would explain it, what adding it brings.
+    """Serve the loop on a page of this machine: residuals, their possible causes, and the improvement by each.
 
     In a notebook the returned object shows the page in a frame; elsewhere its `address` is opened in a browser.
 
     Parameters
     ----------
-    place : a result, its folder, or the folder of a campaign; the example `hidden-gyro` where None.
+    place : a result, its folder, or the folder of a campaign; the example `hidden-gyro` if None.
     model : model file to fit a campaign with, or the name of a shipped one.
     out : result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened where it is there already.
     port : of the server; any free one where 0.

@@ -122,6 +122,10 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "axis absurd": (toml("input_axis = [1, 0, 0]", "input_axis = [1e308, 0, 0]"), "not a physical size", r":15, channel\[0\]", "three numbers"),
     "noise infinite": (toml("noise = 2.0", "noise = inf"), "finite", r":20, channel\[0\]\.noise", "number"),
     "unknown kind": (toml('kind = "gyro"', 'kind = "giro"'), "'giro'", r":14, channel\[0\]\.kind", "gyro"),
+    "unit of the output open": (
+        toml('output_unit = "pulse/s"\nscale = 1000.0', 'output_unit = "?"\nscale = 1000.0'), "the unit of the output is not stated",
+        r"\.output_unit", "text in quotes",
+    ),
     "unknown per": (toml('per = "deg/s"', 'per = "deg/sec"'), "deg/sec", r":18, channel\[0\]\.per", "deg/s"),
     "per of the wrong kind": (toml('per = "deg/s"', 'per = "g"'), "per 'g'", r":18, channel\[0\]\.per", "deg/s"),
     "azimuth is a word": (

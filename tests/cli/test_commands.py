@@ -196,6 +196,7 @@ def test_effects_says_what_a_campaign_could_show(capsys):
     assert "converter_leakage" in shown
     assert "accel_warm_up" in lacking
     assert "power_on_s" in lacking
+    assert "a run that names a [[thermometer]]" in lacking
     assert "gyro_bias" not in shown
 
 

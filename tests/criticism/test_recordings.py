@@ -19,6 +19,8 @@ pytestmark = [
 THERMAL = {
     name: f"imu.{'acc' if name[0] == 'a' else 'gyro'}.{name[1]}" for name in ("ax", "ay", "az", "gx", "gy", "gz")
 }
+# Scale factors of the factory calibration, counts per m/s² and rad/s.
+FACTORY = {"ax": 415, "ay": 413, "az": 415, "gx": 4778, "gy": 4758, "gz": 4766}
 POLYNOMIALS = """
 format = 1
 name = "polynomials"
@@ -60,6 +62,8 @@ def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
     before, after = errors(first), errors(addition.result)
     assert [before[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.053, 0.088, 0.071], rel=0.1)
     assert [after[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.017, 0.015, 0.014], rel=0.12)
+    for name, counts in FACTORY.items():
+        assert addition.result[f"scale_factor[{name}]"].mean == pytest.approx(counts, rel=3e-3)
     held_out = addition.held_out
     assert held_out is not None
     assert (held_out.by, held_out.verdict) == ("pose", "helps")

@@ -313,7 +313,7 @@ def test_noise_that_disagrees_with_its_record_is_told():
     compared = (comparison("ax", 2.14, 1e-40), comparison("ay", 1.02, 0.4), comparison("az", 0.6, 1.0))
     found = diagnosis("adequate").model_copy(update={"recorded_noise": compared})
     assert "fitted noise of ax is 2.14 ± 0.11 times the known noise" in sentence(found)
-    assert "It also differs in 1 other channel." in sentence(found)
+    assert "The fitted noise of 1 other channel also differs from the known noise." in sentence(found)
     assert [row[0].text for row in shown.recorded_noise_sheet(found).rows] == ["ax", "az"]
     agreeing = found.model_copy(update={"recorded_noise": compared[1:2]})
     assert "known noise" not in sentence(agreeing)
@@ -339,7 +339,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     assert said.startswith(
         "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times that of the raw samples of the same rows"
     )
-    assert "an effect or noise slower than a row; white_noise.sigma[ay] likewise. The noise is not as modelled" in said
+    assert "correlated over longer times than a row. The same holds for white_noise.sigma[ay]. The noise is" in said
     assert "times the known noise" not in said
     explained = sentence(diagnosis().model_copy(update={"contradicted": told}))
     assert explained.startswith("gyro_scale_asymmetry is missing")
@@ -350,7 +350,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
     assert contradiction_text((sisters, scatter)) == (
         "run_scatter.tau[gx], 7.70 LSB, is 38 times that of gy and gz by the means of their runs and 2.6 times the "
-        "scale of its prior: scatter between runs absorbs something that the model lacks"
+        "scale of its prior: this scatter between runs absorbs something that the model lacks"
     )
     assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
 

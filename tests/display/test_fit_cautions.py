@@ -59,8 +59,11 @@ def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
 
     assert said((), 0.2) == ""
     told = said((gravity,), 0.2)
-    assert "The uncertainties above do not include gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
-    assert "uncertainty of scale_factor[ax] is 10 ppm here, and 51 ppm with that of gravity" in told
+    assert "Taken as exact by the model: gravity anomaly (u = 50 µg, assumed for normal gravity). The" in told
+    assert (
+        "If scale_factor[ax] is determined from gravity, its standard uncertainty then rises from 10 ppm to 51 ppm"
+        in told
+    )
     assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
     stated = said((gravity, rate), 20.0)
     assert "table rate error (u = 4.0 ppm, stated)" in stated
@@ -83,7 +86,7 @@ def test_noise_that_contradicts_what_is_known_precedes_everything(plain):
     assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
     both = flawed.model_copy(update={"noise_violations": VIOLATIONS})
     assert alarm_of(both).count("DO NOT TRUST") == 1
-    assert "noise slower than a row; the output is quantised" in alarm_of(both)
+    assert "times than a row. Tests of the residuals: the output is quantised" in alarm_of(both)
     # A result that was written and read again says the same.
     assert alarm_of(Summary.model_validate_json(flawed.model_dump_json())) == alarm_of(flawed)
 
@@ -94,7 +97,7 @@ def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
     assert text.startswith("DO NOT TRUST THE INTERVALS: the output is quantised too coarsely for its noise (ax: a step")
     assert text.count("DO NOT TRUST") == 1
     assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"
-    assert "the residuals are autocorrelated (gx, gy, p = 3e-7)" in text
+    assert "the residuals are autocorrelated (gx, gy, p = 3e-07)" in text
     assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
     document = json.loads(flawed.model_dump_json())
     assert document["intervals_valid"] is False
@@ -110,7 +113,7 @@ def test_suspected_noise_is_a_notice_and_no_alarm(plain):
     doubted = plain.model_copy(update={"noise_suspected": VIOLATIONS[1:]})
     assert alarm_of(doubted) == ""
     (notice,) = notices(doubted)
-    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-7). This may be chance;")
+    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance;")
     assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
     assert "Suspected:" in summary_html(doubted)
     # Where there is an alarm it says enough.

@@ -4,8 +4,10 @@ import math
 
 import pytest
 
-from imubayes.display.numbers_and_labels import concise, percent, ratio_text, significant, value_and_sd
+from imubayes.display.loop.history import elpd_text
+from imubayes.display.numbers_and_labels import concise, percent, ratio_text, significant, value_and_sd, with_minus
 from imubayes.inference.marginal import numerical_tolerance
+from imubayes.loop.model_history import CrossValidation
 from imubayes_qualification.display.report.words import risk_text
 
 
@@ -68,7 +70,7 @@ def test_significant_digits(value, digits, expected):
 
 
 @pytest.mark.parametrize(
-    ("value", "expected"), [(0.4101, "0.41"), (9.998, "10.00"), (12.34, "12.3"), (123456.0, "1.2e5"), (None, "–")]
+    ("value", "expected"), [(0.4101, "0.41"), (9.998, "10.00"), (12.34, "12.3"), (123456.0, "1.2e+05"), (None, "–")]
 )
 def test_ratio(value, expected):
     assert ratio_text(value) == expected
@@ -92,3 +94,17 @@ def test_one_number_has_one_rounding(value, printed):
     assert (alone, beside) == (printed, printed)
     assert risk_text(value / 100) == f"{printed} %"
     assert float(printed) == pytest.approx(value, abs=numerical_tolerance(value, 2) * (1 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("text", "printed"), [("-1.5e-11", "−1.5e-11"), ("1.8e-06", "1.8e-06"), ("-22.4 ± 1.8", "−22.4 ± 1.8")]
+)
+def test_a_negative_number_has_a_minus_sign_and_its_exponent_a_hyphen(text, printed):
+    assert with_minus(text) == printed
+
+
+@pytest.mark.parametrize(
+    ("delta", "se", "printed"), [(303.14, 88.2, "+303 ± 88"), (-54.2, 11.3, "−54 ± 11"), (0.031, 0.24, "+0.03 ± 0.24")]
+)
+def test_the_gain_of_cross_validation_has_the_digits_of_its_error(delta, se, printed):
+    assert elpd_text(CrossValidation(by="run", delta=delta, se=se, helped=1, of=2, verdict="helps")) == printed

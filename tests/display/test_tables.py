@@ -142,7 +142,7 @@ def test_runs_tell_fit_and_size_in_readable_units(summary):
     assert ["ax", "20", "4.75", "12.0", "µg"] in rows
     assert ["tilted", "gx", "20", "0.10", "0.0200", "deg/s"] in rows
     assert ["ax", "0", "–", "–", "µg"] in rows or ["ax", "0", "–", "–", "g"] in rows
-    assert "1 of 3 is larger than noise explains" in words_of(fit_sheet(summary))
+    assert "1 of 3 values of χ² is too large" in words_of(fit_sheet(summary))
 
 
 def test_rows_in_need_of_attention_survive_a_limit(summary):
@@ -257,9 +257,9 @@ def test_tables_do_without_matplotlib():
 
 def test_headings_wrap_before_a_cell_is_cut():
     head = ("model", "residual / deg/h", "residual / µg", "Δ elpd")
-    row = [Cell("● └─ + gyro_scale_asymmetry"), Cell("2.14"), Cell("6.48"), Cell("+303.1 ± 88 (7/7 runs)")]
+    row = [Cell("● └─ + gyro_scale_asymmetry"), Cell("2.14"), Cell("6.48"), Cell("+303 ± 88 (7/7 runs)")]
     text = report_text(Report((), [Sheet("Models tried", head, [row])]), width=80)
-    assert "+303.1 ± 88 (7/7 runs)" in text
+    assert "+303 ± 88 (7/7 runs)" in text
     assert max(map(len, text.splitlines())) <= 80
 
 

@@ -45,7 +45,7 @@ def test_all_terms_are_estimated_exactly(positions):
     assert found["scale_factor[a]"].value == pytest.approx(2000.0, rel=1e-9)
     for name, (symbol, factor) in NAMES.items():
         assert found[name].value == pytest.approx(TRUE[symbol] * factor, rel=1e-6), name
-    assert "K_pp apart from K0 and K2" in said
+    assert "K_pp is not separated from K0 and K2" in said
     assert "K_oq" not in said
     total = next(one for name, one in found.items() if name.startswith("K1+"))
     assert total.value == pytest.approx(2000 * (1 + 0.75 * TRUE["K3"] + 8 / (3 * np.pi) * TRUE["K_oq"]), rel=1e-9)

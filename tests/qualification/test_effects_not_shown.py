@@ -112,7 +112,7 @@ def test_what_is_not_known_of_a_mission_is_named_and_equipment_is_left_out(unit)
         "accel_dead_zone": (),
     }
     told = report_text(navigation_report(impact(unit, hidden)))
-    assert "accel_bias_temperature (by temperature, which --temperature states)" in " ".join(told.split())
+    assert "accel_bias_temperature (needs temperature, see --temperature)" in " ".join(told.split())
     assert "imubayes diagnose" not in told
 
 

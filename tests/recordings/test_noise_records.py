@@ -115,7 +115,7 @@ def test_other_sampling_rates(tmp_path: Path, rate: float, samples: int):
     assert white_is_right(found.channels[0])
     assert found.channels[0].interval_s == pytest.approx(1 / rate)
     assert [term.term for term in found.channels[0].terms if term.determined] == [NoiseTerm.WHITE]
-    assert text.startswith("g in night: ")  # no warning before the table
+    assert text.startswith("g in run 'night': ")  # no warning before the table
 
 
 def test_gaps_empty_cells_and_jitter(tmp_path: Path):
@@ -167,7 +167,7 @@ def test_a_change_is_told_and_no_slow_term_beside_it(tmp_path: Path, kind: str, 
     channel = found.channels[0]
     assert channel.sudden_change is not None
     assert abs(channel.sudden_change.time_s - time) < 30
-    assert text.startswith("g in night: at ")
+    assert text.startswith("g in run 'night': at ")
     for term in (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK, NoiseTerm.RAMP):
         assert channel.of(term).withheld is not None
         assert channel.of(term).upper_limit is None
@@ -208,8 +208,8 @@ def test_a_repeated_channel_beside_one_that_is_not(tmp_path: Path):
     found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": held, "h": white(seed=3)}))
     assert [white_is_right(channel) for channel in found.channels] == [True, True]
     assert [channel.samples for channel in found.channels] == [SAMPLES // 4, SAMPLES]
-    assert "g in night: each value is repeated 4 times: the output is new every 0.4" in text
-    assert "h in night: each value" not in text
+    assert "g in run 'night': each value is repeated 4 times: the output is new every 0.4" in text
+    assert "h in run 'night': each value" not in text
 
 
 def test_a_fit_that_did_not_converge_writes_no_prior(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -232,8 +232,8 @@ def test_a_dead_and_an_empty_channel_are_left_out(tmp_path: Path):
     assert [channel.channel for channel in found.channels] == ["g"]
     assert white_is_right(found.channels[0])
     assert [(left.channel, left.reason) for left in found.left_out] == [("dead", "constant"), ("empty", "empty")]
-    assert "dead in night is constant" in text
-    assert "empty in night is without a sample" in text
+    assert "dead in run 'night' is constant" in text
+    assert "empty in run 'night' is without a sample" in text
 
 
 def irregular() -> np.ndarray:

@@ -58,7 +58,7 @@ def test_names_that_do_not_fit_the_fields_are_refused(tmp_path: Path, sign: str,
         read(file)
     [issue] = refused.value.issues
     assert all((issue.what, issue.where, issue.allowed, issue.remedy))
-    assert ("there is no az" if lost == "channel" else "names stand above") in issue.what
+    assert ("there is no az" if lost == "channel" else "the header has") in issue.what
     columns, _ = read(file, columns={name: place for place, name in enumerate(NAMES, 1)})
     np.testing.assert_allclose(columns["gz"], VALUES[:, 5], atol=1e-6)
 
@@ -191,7 +191,7 @@ def test_an_empty_last_cell_of_the_first_row_shifts_no_name(tmp_path: Path) -> N
     lines = file.read_text().splitlines()
     lines[1] = ",".join([*lines[1].split(",")[:7], ""])
     file.write_text("\n".join(lines))
-    with pytest.raises(InputError, match="7 names stand above 8 data fields"):
+    with pytest.raises(InputError, match="the header has 7 names, the rows have 8 fields"):
         read(file)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.results.folder_files import FIT, POSTERIOR, SUMMARY
+from imubayes.results.folder_files import FIT, POSTERIOR, SUMMARY, missing
 from imubayes.results.folder_state import claim
 
 
@@ -29,3 +29,11 @@ def test_a_sampled_result_is_kept_unless_it_is_to_be_replaced(tmp_path):
 
 def test_a_result_that_was_not_sampled_is_replaced_without_asking(tmp_path):
     claim(result_in(tmp_path / "laplace", sampled=False))
+
+
+def test_a_campaign_folder_is_named_as_such(tmp_path):
+    """The advice is never to fit into the folder of a campaign."""
+    (tmp_path / "campaign.toml").write_text("")
+    (issue,) = missing(tmp_path)
+    assert issue.what == "this is a campaign folder, not a result folder"
+    assert "--replace" not in issue.remedy

@@ -21,7 +21,7 @@ def predict(
     any_unit: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> RunPrediction:
-    """Hold a fitted model against runs that it has not seen; nothing is fitted but what these runs alone have.
+    """Compare a fitted model with runs that it has not seen; only parameters of these runs alone are fitted.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def repeatability(
     limits: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Repeatability:
-    """Compare two calibrations of one unit: whether they agree, what moved, and both as one.
+    """Compare two calibrations of one unit: whether they agree, which quantities moved, and the pooled estimates.
 
     Parameters
     ----------

@@ -118,7 +118,11 @@ def _checkpoint(model: Model, folder: Path | None) -> Path | None:
 
 
 def load(folder: str | Path) -> Result:
-    """Return the result that a folder holds: summary and residuals at once, fit and posterior when they are asked for.
+    """Return the result in a folder: summary and residuals at once, fit and posterior when they are accessed.
+
+    Parameters
+    ----------
+    folder : the result folder.
 
     Raises
     ------

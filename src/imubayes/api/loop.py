@@ -39,8 +39,8 @@ def diagnose(
 ) -> Diagnosis:
     """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
 
-    What was found is kept in the result folder, where there is one: `add` starts from it.  A folder that cannot be
-    written to is left alone, with the warning `NotKept`.
+    The diagnosis is kept in the result folder, if there is one; `add` starts from it. If the folder cannot be written
+    to, the warning `NotKept` is issued.
 
     Parameters
     ----------
@@ -87,9 +87,9 @@ def plant(
 
     Parameters
     ----------
-    campaign, model : what is fitted first; not needed with a result.
+    campaign, model : campaign and model to fit first; not needed with a result.
     result : a fit to take instead.
-    effects : which to inject; all of the catalogue that the model lacks where None.
+    effects : which to inject; all of the catalogue that the model lacks if None.
     size : how large they are; by default the size with Δχ² = 50.
     draws : simulations without any effect, for the false-alarm rate.
     seed : of the simulations.
@@ -131,17 +131,17 @@ def add(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ModelChange:
-    """Add effects to the model of a result, refit from where it stood, and report what that brought.
+    """Add effects to the model of a result, refit from its mode, and report the improvement.
 
-    A refit is taken only where it converged and is no worse; no result is overwritten.
+    A refit is taken only if it converged and is no worse; no result is overwritten.
 
     Parameters
     ----------
     result : a result, or its folder.
     effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); the simplest
-        explanation of the diagnosis where there are none.
+        explanation of the diagnosis if there are none.
     out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
-    channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
+    channels : for the new effects; if None, those on which the diagnosis found them, or else all they can act on.
     diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
         holds, if any.
     sample : whether to sample the posterior of a refit that is taken.
@@ -183,9 +183,9 @@ def remove(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ModelChange:
-    """Take effects out of the model of a result, refit from where it stood, and report what that costs.
+    """Remove effects from the model of a result, refit from its mode, and report the loss.
 
-    Parameters that stay start where they were.  A refit is taken only where it converged; no result is overwritten.
+    Parameters that stay start where they were.  A refit is taken only if it converged; no result is overwritten.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def refit(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ModelChange:
-    """Fit the campaign of a result with its model edited, from where it stood: other priors, readings set aside.
+    """Fit the campaign of a result again with its model edited, from its mode: other priors, readings set aside.
 
     The refit is a branch of the tree of models; no result is overwritten.
 
@@ -248,7 +248,7 @@ def refit(
     Raises
     ------
     InputError
-        for a model that does not fit the campaign, a result that cannot be gone on from, an `out` that is taken.
+        for a model that does not fit the campaign, a result that cannot be continued, an `out` that is taken.
 
     Examples
     --------
@@ -347,7 +347,7 @@ def _sampled(refit: Refit, folder: Path | None, sampling: Settings, tell: Callab
 
 
 def history(*folders: str | Path) -> Tree:
-    """Return the tree of models tried that result folders stand in.
+    """Return the tree of models tried to which result folders belong.
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ def history(*folders: str | Path) -> Tree:
 
 
 def export(folder: str | Path, file: str | Path) -> str:
-    """Write the selected model of the tree that a result stands in to a model file; return its place.
+    """Write the selected model of the tree that a result belongs to, as a model file; return its path.
 
     The user's own effect files go beside it.
 

@@ -45,14 +45,14 @@ TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 class Tables(Protocol):
     """The tables of the runs of a campaign: files of its folder, or what was handed over.
 
-    `folder` is empty where there is none.
+    `folder` is empty if there is none.
     """
 
     @property
     def folder(self) -> str: ...
 
     def of(self, run: RunEntry) -> TableFile | None:
-        """Return the table of a run; None where there is none."""
+        """Return the table of a run; None if there is none."""
         ...
 
     def place(self, run: RunEntry) -> str:
@@ -124,7 +124,7 @@ def load_campaign(path: str | Path, *, judge_setup: bool = True) -> Campaign:
     Parameters
     ----------
     path : the folder, or its `campaign.toml`.
-    judge_setup : whether the outputs are held against the set-up; not needed where that was done before a fit.
+    judge_setup : whether the outputs are compared with the set-up; not needed if that was done before a fit.
 
     Raises
     ------
@@ -444,7 +444,7 @@ def raw_log(campaign: Campaign, run: Run) -> TableSource:
     Raises
     ------
     InputError
-        where the campaign was not read from a folder, or its files are gone.
+        if the campaign was not read from a folder, or its files are gone.
     """
     if not campaign.folder:
         raise input_error(

@@ -129,6 +129,13 @@ class ChannelEntry(_Entry):
     current_mA_per_g: float | None = None
     """nominal current of the accelerometer; required if a current is fed into its converter"""
 
+    @field_validator("output_unit")
+    @classmethod
+    def _is_stated(cls, value: str) -> str:
+        if value == "?":
+            raise ValueError("the unit of the output is not stated")
+        return value
+
 
 class TableEntry(_Entry):
     """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact.
@@ -276,7 +283,7 @@ class EvaluationEntry(_Entry):
     """Limits of the classical evaluation and of the decisions made from a fit."""
 
     delta_k_threshold_percent: Positive | None = None
-    """largest change of the gain by current injection that still is one line for all currents"""
+    """largest Δk up to which one line applies to all inputs of a converter"""
 
 
 class CampaignFile(_Entry):

@@ -45,11 +45,11 @@ FINDINGS: dict[str, str] = {
     "temperature_unit": "temperatures are in degrees Fahrenheit",
     "thermometers_exchanged": "the temperatures of sensor and converter are exchanged",
     "temperature_reversed": "a column of temperatures runs backwards in time",
-    "temperature_value": "the outputs of a run are as at another temperature",
+    "temperature_value": "the outputs of a run belong to another temperature",
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
-    "outputs_apart": "the outputs of a channel in a run are those of anything else",
-    "output_offset": "the outputs of a channel are off in a run, all rows alike",
+    "outputs_apart": "the outputs of a channel in a run do not belong to this channel",
+    "output_offset": "the outputs of a channel are off by the same amount in all rows of a run",
     "rate_without_sign": "the rates of a run are recorded without their sign",
     "rates_exchanged": "the rates of two rows are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
@@ -72,7 +72,7 @@ FINDINGS: dict[str, str] = {
     "time_shift": "outputs and table are shifted in time",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "standard_errors": "deviations of raw samples are standard errors of their means",
-    "samples_missing": "deviations of raw samples without the number of these",
+    "samples_missing": "standard deviations of raw samples are stated without the number of samples",
     "samples_unlike": "the number of samples is unlike that of the other runs",
     "not_settled": "an output does not become steady at a level of the stimulus",
     "segment_not_constant": "the stimulus varies within a labelled segment",
@@ -80,7 +80,7 @@ FINDINGS: dict[str, str] = {
     "gravity_improbable": "stated gravity differs from normal gravity by more than anomalies do",
     "turns_at_rest": "the gyros turn in a record of a unit at rest",
     "bad_count": "an impossible number of samples or standard deviation",
-    "unfounded_uncertainty": "an uncertainty of a temperature that is not there",
+    "unfounded_uncertainty": "an uncertainty is stated for a temperature that is not recorded",
     "unused_columns": "columns that are not used",
 }
 """Name of every finding → its meaning."""
@@ -128,7 +128,7 @@ class Finding:
 
     def __str__(self) -> str:
         run = f" in run '{self.run}'" if self.run else ""
-        return f"{self.name} ({self.severity}){run}: {self.what} [{self.where}]; {self.remedy}"
+        return f"{self.severity}: {self.name}{run}: {self.what} [{self.where}]; {self.remedy}"
 
 
 GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap
@@ -382,7 +382,7 @@ class Monitor:
     def _at(
         self, name: str, tally: _Tally, column: str, what: str, allowed: str, remedy: str, severity: Severity = "error"
     ) -> list[Finding]:
-        """Return a finding at the first row of a tally; none where the tally is empty."""
+        """Return a finding at the first row of a tally; none if the tally is empty."""
         where = f"{self.source.place(tally.first)}, column '{column}'"
         return [Finding(name, severity, self.run, what, where, allowed, remedy)] if tally.count else []
 

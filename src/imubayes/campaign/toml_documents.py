@@ -222,6 +222,8 @@ def _message(fault: Any, path: KeyPath, label: str, owner: type[BaseModel] | Non
             )
         case "value_error":
             form = FORMS.get(key, "") if isinstance(given, str) else ""
+            if isinstance(given, str) and key in fields:
+                form = form or f"{key} = {_example(owner, key)}"
             return str(context["error"]), form or ", ".join(fields), "correct this entry"
         case "string_pattern_mismatch":
             return f"{spell(path)}: {given!r} is not allowed here", PATTERNS[context["pattern"]], "correct it"

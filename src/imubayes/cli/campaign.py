@@ -47,8 +47,8 @@ def check(
     model
         Model file to check against the campaign, or the name of a shipped model.
     fix
-        Folder to write: a copy with the mends that need no fact (spelling of keys, words and columns, order of rows in
-        time), which is checked in place of the campaign.
+        Folder to write: a copy with the corrections that need no further fact (spelling of keys, words and columns,
+        order of rows in time), which is checked in place of the campaign.
     as_json
         Print one JSON object on standard output.
     verbose
@@ -60,7 +60,7 @@ def check(
         from imubayes.campaign.mends import mend_campaign
 
         for mend in mend_campaign(campaign, fix) or ("nothing can be corrected without a further fact",):
-            print(f"mended: {mend}" if "→" in mend or "order" in mend else mend, file=sys.stderr)
+            print(f"corrected: {mend}" if "→" in mend or "order" in mend else mend, file=sys.stderr)
         campaign = fix
     if model is None:
         from imubayes.campaign import inspect_campaign

@@ -145,8 +145,8 @@ class Diagnosis(Presented, Record):
     message : why the fit, or the sampling about its mode, did not converge.
     result : folder of the result that was diagnosed.
     explanations : how probable each explanation is; None of a fit without a mode.
-    groups : the effects of the most probable explanation with what the runs cannot distinguish from them, the strongest
-        first.
+    groups : the effects of the most probable explanation, each with the effects that the runs cannot distinguish from
+        it; the strongest first.
     delta_chi2 : predicted drop of χ² by the first of every group together, at the noise known beforehand.
     ranking : every effect that the runs can show, the most probable first.
     formulas : of the residual, where a cause outside the catalogue leads.
@@ -209,7 +209,7 @@ class Diagnosis(Presented, Record):
 
     @property
     def explains_by_noise(self) -> bool:
-        """Whether what leads, that nothing is missing or noise, leaves the scatter of the data to the noise."""
+        """Whether the leading explanation, nothing missing or other noise, leaves the scatter of the data to noise."""
         return self.explanations is not None and self.explanations.leading.kind in ("nothing", "noise")
 
     @property
@@ -221,7 +221,7 @@ class Diagnosis(Presented, Record):
 
     @property
     def proposed(self) -> Suggestion | None:
-        """What to add next: what is suggested or, where nothing is missing, stated uncertainties that are neglected."""
+        """Effects or noise to add next: the suggestion or, if nothing is missing, neglected stated uncertainties."""
         if self.suggested is not None or self.verdict != "adequate" or self.asked is not None or not self.neglected:
             return self.suggested
         return Suggestion(effects=tuple(each.effect for each in self.neglected), channels=None)
@@ -246,7 +246,7 @@ class Diagnosis(Presented, Record):
         return members[0].channels if members else None
 
     def estimate(self, effect: str) -> ScreenedEffect | None:
-        """Return what the search says of an effect: as a member of a group, or its line of the ranking, or None."""
+        """Return the estimate of an effect as a member of a group or of the ranking; None if it is in neither."""
         members = [member for group in self.groups for member in group.candidates]
         return next((line for line in (*members, *self.ranking) if line.effect == effect), None)
 

@@ -192,7 +192,7 @@ def check_report(
 def warning_lines(inspection: Inspection, verbose: bool = False) -> list[str]:
     """Return the warnings about the data of a campaign, one line each; one for those of many runs unless verbose."""
     found = [("", str(finding)) for finding in inspection.findings if finding.severity == "warning"]
-    return [f"warning: {text}" for text in ([text for _, text in found] if verbose else grouped(found))]
+    return [text for _, text in found] if verbose else grouped(found)
 
 
 def _notes(inspection: Inspection, campaign: Campaign, verbose: bool) -> list[str]:

@@ -337,11 +337,11 @@ def _explanation(beyond: Sequence[ComparedEstimate], unexplained: int) -> str:
         return "The assumptions of the classical evaluation do not hold."
     leading = Counter(each.causes[0][0] for each in beyond if each.causes)
     named = listed([name for name, _ in leading.most_common()]) if leading else "effects of the model"
-    gives = " and ".join([f"leaves {named} out", *_at_own_temperature(beyond)])
+    gives = " and ".join([f"neglects {named}", *_at_own_temperature(beyond)])
     how_many = f"{explained} are" if unexplained else "All are"
     said = (
-        f"{how_many} explained: the classical evaluation {gives}, and applied to the outputs that the joint fit "
-        "predicts it gives the same values within noise and run offsets."
+        f"{how_many} explained: the classical evaluation {gives}. Applied to the outputs that the joint fit predicts, "
+        "it gives the same values within noise and run offsets."
     )
     rest = (
         f" {unexplained} are not: the measured outputs of these runs deviate from the fit (imubayes diagnose RESULT)."

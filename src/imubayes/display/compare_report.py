@@ -93,12 +93,12 @@ class Comparison:
     Attributes
     ----------
     folder : the result folder.
-    pictures : files written, overview first; none where the folder cannot be written to.
+    pictures : files written, overview first; none if the folder cannot be written to.
     captions : file name → caption.
     summary : of the fit.
     notes : what was left out.
     page : the index page of the figures, `compare.html` of the result folder.
-    classical : classical estimates beside those of the joint fit; None where the campaign is not available.
+    classical : classical estimates beside those of the joint fit; None if the campaign is not available.
     """
 
     folder: Path
@@ -137,7 +137,7 @@ class Comparison:
         if self.pictures:
             yield from self.notes
             count = wording.counted(len(self.pictures), "figure")
-            yield f"{count} in {self.folder / FIGURES}; look at these first: {self.page}"
+            yield f"{count} in {self.folder / FIGURES}; the most important ones: {self.page}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
@@ -156,8 +156,8 @@ def compare(
     Parameters
     ----------
     result : a result that has a folder, or the folder.
-    parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most where None.
-    runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst where None.
+    parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most if None.
+    runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst if None.
     every : draw all figures, not only the five that matter most and those requested.
     progress : called with a short text as the work goes on.
 
@@ -232,7 +232,7 @@ def _left_out(count: int) -> Iterator[str]:
 def _for_corner(
     summary: Summary, folder: Path, parameters: Sequence[str] | None, every: bool
 ) -> tuple[list[str], Mapping[str, Any]]:
-    """Return the quantities of the corner plot and their draws; none where it is not asked for."""
+    """Return the quantities of the corner plot and their draws; none if it is not asked for."""
     if not parameters and not every:
         return [], {}
     posterior = folder / POSTERIOR
@@ -351,7 +351,7 @@ def print_comparison(comparison: Comparison) -> None:
     if comparison.pictures:
         count = wording.counted(len(comparison.pictures), "figure")
         console.print(f"{count} in {comparison.folder / FIGURES}", highlight=False, soft_wrap=True)
-        console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
+        console.print(f"the most important ones: {comparison.page}", highlight=False, soft_wrap=True)
 
 
 @contextmanager

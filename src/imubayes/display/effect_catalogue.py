@@ -4,6 +4,7 @@ import inspect
 import re
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Column
 from rich.table import Table as Grid
 
@@ -41,7 +42,7 @@ def print_observable(campaign: Campaign) -> None:
         grid.add_row(effect.effect_class.name, _acts_on(effect.effect_class), runs)
     console = Console()
     many = counted(len(found), "effect")
-    console.print(f"[bold]{campaign.name}[/bold] could show {len(shown)} of {many}:\n", highlight=False)
+    console.print(f"[bold]{escape(campaign.name)}[/bold] could show {len(shown)} of {many}:\n", highlight=False)
     console.print(grid)
     if len(shown) == len(found):
         return
@@ -53,7 +54,7 @@ def print_observable(campaign: Campaign) -> None:
             needed = "; ".join(dict.fromkeys(map(remedy, effect.missing)))
             by_need.setdefault(needed, []).append(effect.effect_class.name)
     for needed, names in by_need.items():
-        lacking.add_row("\n".join(names), needed)
+        lacking.add_row("\n".join(names), escape(needed))
     console.print(lacking)
     print("\nOnly a fit shows whether the runs determine the effects that they could show.")
 
@@ -91,8 +92,8 @@ def print_effect(effect: str) -> None:
     if member.excludes:
         console.print(f"not together with: {', '.join(member.excludes)}", highlight=False)
     if member.confused_with:
-        console.print(f"confused with: {member.confused_with}", highlight=False)
-    console.print(f"source: {member.reference}", highlight=False)
+        console.print(f"confused with: {member.confused_with}", highlight=False, markup=False)
+    console.print(f"source: {member.reference}", highlight=False, markup=False)
 
 
 def _acts_on(member: EffectClass) -> str:

@@ -63,12 +63,12 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     own = [each for each in contradicted if each.parameter == worst]
     factors = " and ".join(_factor(each) for each in own if each.excessive or each.ratio > 1)
     where = "between runs" if own[0].between_runs else "from row to row"
-    meaning = f"scatter {where} absorbs something that the model lacks"
+    meaning = f"this scatter {where} absorbs something that the model lacks"
     if own[0].source == "samples":
-        meaning += ", an effect or noise slower than a row"
+        meaning += ", an effect or noise that is correlated over longer times than a row"
     elif not any(each.excessive and each.source == "sisters" for each in own):
         meaning += ", or the prior is too narrow for this unit"
-    more = f"; {listed(others, _MOST_NAMED)} likewise" if others else ""
+    more = f". The same holds for {listed(others, _MOST_NAMED)}" if others else ""
     return f"{worst}, {significant(own[0].fitted)} {pretty(own[0].unit)}, is {factors}: {meaning}{more}"
 
 
@@ -107,9 +107,12 @@ def alarm_of(summary: Summary) -> str:
     if not summary.converged:
         said = f"{_NOT_CONVERGED}. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
-    contradicted = [contradiction_text(summary.noise_contradicted)] if summary.noise_contradicted else []
-    causes = "; ".join([*contradicted, *([violation_text(summary.noise_violations)] * bool(summary.noise_violations))])
-    return f"{_DOUBTED}: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
+    contradicted = f"{contradiction_text(summary.noise_contradicted)}. " if summary.noise_contradicted else ""
+    violated = violation_text(summary.noise_violations)
+    if not (contradicted or violated):
+        return ""
+    tests = f"{'Tests of the residuals: ' * bool(contradicted)}{violated}. " if violated else ""
+    return f"{_DOUBTED}: {contradicted}{tests}`imubayes diagnose` looks for the cause."
 
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
@@ -212,7 +215,7 @@ def exact_lines(summary: Summary) -> tuple[str, ...]:
     if not known:
         return ()
     return (
-        f"The uncertainties above do not include {exact_text(known)}, taken as exact by the model; those of "
+        f"Taken as exact by the model: {exact_text(known)}. The uncertainties above do not include this; those of "
         f"`imubayes report`, `export` and `apply` do.{effect}",
     )
 
@@ -230,10 +233,7 @@ def _gravity_text(summary: Summary) -> str:
     if not scales or whole <= _MATTERS * own:
         return ""
     own, whole = (significant(each, 2) for each in (own, whole))
-    return (
-        f" The standard uncertainty of {name} is {own} ppm here, and {whole} ppm with that of gravity if gravity "
-        "determines it."
-    )
+    return f" If {name} is determined from gravity, its standard uncertainty then rises from {own} ppm to {whole} ppm."
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:

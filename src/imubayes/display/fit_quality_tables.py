@@ -111,9 +111,9 @@ def _fit_note(summary: records.Summary) -> str:
     if summary.chi2 and summary.dof:
         note = f"Total: {chi2_text(summary)}. "
     if not excessive:
-        return note + f"No χ² is larger than noise explains (p < {SIGNIFICANT:g})."
+        return note + f"No χ² of a run and channel is too large (p < {SIGNIFICANT:g})."
     verb = "is" if excessive == 1 else "are"
-    return note + f"{excessive} of {len(runs)} {verb} larger than noise explains (p < {SIGNIFICANT:g}, red)."
+    return note + f"{excessive} of {len(runs)} values of χ² {verb} too large (p < {SIGNIFICANT:g}, red)."
 
 
 def contribution_sheet(summary: records.Summary) -> Sheet:

@@ -77,15 +77,15 @@ def weak_lines(summary: Summary) -> tuple[str, ...]:
     said = [f"{quantities.MARK} Not determined (less than {least} from the data): {listed(loose)}."] * bool(loose)
     said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
     sums = len(summary.combinations)
-    determined = f"; determined sums of their members: {sums}" if sums else ""
-    said += [f"Weakly determined combinations: {weak}{determined}."] * bool(weak)
+    determined = f" Determined combinations of the same parameters: {sums}." if sums else ""
+    said += [f"Weakly determined combinations: {weak}.{determined}"] * bool(weak)
     if summary.next_runs:
         first = summary.next_runs[0]
         said.append(
             f"Next run: {quality.run_design_text(first.run)} ({first.quantity}: sd {quality.narrowing_text(first)})."
         )
     said += [quantities.sampling_note(summary.parameters).strip()] if summary.sampled else []
-    where = f"For {counted(len(summary.parameters), 'parameter')} and every table: --verbose."
+    where = f"All tables, with {counted(len(summary.parameters), 'parameter')}: --verbose."
     return (" ".join([*filter(None, said), where]),)
 
 

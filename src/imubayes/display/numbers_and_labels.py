@@ -9,6 +9,7 @@ signs, and a quantity has one label.
 """
 
 import math
+import re
 import shlex
 from collections.abc import Iterable, Sequence
 from functools import cache
@@ -123,6 +124,20 @@ def _unsigned_zero(text: str) -> str:
     return text.removeprefix("-") if float(text) == 0 else text
 
 
+# A hyphen before a number, but within a name, a date, an exponent, or the prior of a model file.
+_HYPHEN = re.compile(r"(?<![\w\-.,])(?<!\w[\[(])-(?=\.?\d)")
+_CODE = re.compile(r"(`[^`]+`)")
+
+
+def with_minus(text: str) -> str:
+    """Return a text whose negative numbers have a minus sign (ISO 80000-1): −1.8e-06.
+
+    Exponents, commands and names stay as they are.
+    """
+    parts = _CODE.split(text)
+    return "".join(part if place % 2 else _HYPHEN.sub("−", part) for place, part in enumerate(parts))
+
+
 def is_exact(value: float | None, sd: float | None) -> bool:
     """Return whether an uncertainty is only the rounding of the arithmetic: that of a number which nothing changes."""
     return value is not None and sd is not None and bool(0 <= sd <= _ROUNDING_ERROR * abs(value))
@@ -164,7 +179,7 @@ def ratio_text(value: float | None) -> str:
         return NO_NUMBER
     if value < 10:
         return f"{value:.2f}"
-    return significant(value) if value < 1e4 else f"{value:.1e}".replace("e+0", "e")
+    return significant(value) if value < 1e4 else f"{value:.1e}"
 
 
 def percent(share: float | None) -> str:
@@ -184,7 +199,7 @@ def chance_text(p: float | None) -> str:
     """Return a p-value: two digits, and a power of ten where it is small."""
     if p is None:
         return "–"
-    return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}".replace("e-0", "e-"))
+    return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}")
 
 
 def relation(p: float) -> str:

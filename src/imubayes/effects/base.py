@@ -192,7 +192,7 @@ class Effect(eqx.Module):
     ----------
     name : as in model files, on the command line and in results.
     stage, order : where on the signal path.
-    per : what a value belongs to, for each value the names in its label: channel, run, mounting, table, pose.
+    per : sharing of values: one for each channel, run, mounting, table or pose, whose names are in its label.
     kinds : kinds of channel that it can act on.
     needs : covariates that a run must have recorded (`imubayes.procedures.kinematics.Stimulus.supplies`).
     excludes : equivalent effects, which may not stand in the same model for the same channel.
@@ -323,7 +323,7 @@ class PlaceEffect(Effect):
 
     @abstractmethod
     def apply(self, experience: Experience) -> Experience:
-        """Return what acts at the sensor's own place, at one instant."""
+        """Return motion and specific force at the sensor's own place, at one instant."""
 
     @classmethod
     def advance(cls, make: Callable, values: dict[str, Array], path: SignalPath, kind: str) -> SignalPath:

@@ -272,11 +272,11 @@ class Tumble:
     readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 if padded.
     coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
         rad, from the nominal calibration: what averaging the rate over a step leaves out.
-    flagged : shape (poses,); True where the pose was disturbed and is excluded from the fit.
+    flagged : shape (poses,); True if the pose was disturbed and is excluded from the fit.
     carried_row, carried_weight : shape (n,); row of each instant in motion, and its weight in the mean; empty if all
         rows are static.
     carried_turn, carried_step : shape (n,); its transition, and the number of steps from the start of that.
-    carried_back : shape (n,); True where its pose is that at the end of the transition.
+    carried_back : shape (n,); True if its pose is that at the end of the transition.
     first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
         from which a fit begins, then its information matrix; empty if all rows are static.
     waved : shape (R,), whether a row is a window in motion with a pose of its own, as nothing carries the attitude on;
@@ -341,8 +341,8 @@ class Run:
     tumble : the moving part, for a free tumble.
     attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
-    temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
-        these temperatures, and no other run has, °C; None or 0 if there is no such error.
+    temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of the error of these temperatures
+        that is common to all rows and independent of other runs, °C; None or 0 if there is no such error.
     thermometer, converter_thermometer : names of the thermometers of these temperatures; None for one of the run alone.
     turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
         rest; None if rows are at constant rates.
@@ -433,11 +433,11 @@ class Campaign:
         return [channel for channel in self.channels if channel.kind == kind]
 
     def north_is_stated(self, run: Run) -> bool:
-        """Whether the azimuth of the table of a run is known; a unit that was put anywhere points anywhere."""
+        """Whether the azimuth of the table of a run is stated; without a table it is unknown."""
         return run.table is not None and self.tables[run.table].azimuth_known
 
     def unstated(self, run: Run) -> frozenset[str]:
-        """Return what nobody stated of the table of a run, as effects need it: north, and how level its axis is."""
+        """Return the facts of the table of a run that are not stated, as effects need them: north and level."""
         if self.north_is_stated(run):
             return frozenset()
         level = run.table is not None and self.tables[run.table].axis_uncertainty is not None

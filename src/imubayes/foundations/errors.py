@@ -22,7 +22,7 @@ class Issue:
     ----------
     what : the fault, in one sentence.
     where : file with line, key or column.
-    allowed : accepted values, closest match first; empty where they cannot be listed.
+    allowed : accepted values, closest match first; empty if they cannot be listed.
     remedy : what to do.
     """
 
@@ -66,13 +66,13 @@ def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
 
 
 def refuse(issues: Iterable[Issue]) -> None:
-    """Raise InputError with issues; nothing where there are none."""
+    """Raise InputError with issues; nothing if there are none."""
     if found := tuple(issues):
         raise InputError(found)
 
 
 class NotKept(UserWarning):
-    """What a command found is shown, but could not be written beside the result that it was made of, in `folder`.
+    """Warning: a finding is returned, but could not be written to the result folder `folder`.
 
     Examples
     --------

@@ -39,7 +39,7 @@ class Ambient(eqx.Module):
         return self.values[name]
 
     def updated(self, **values: Scalars) -> "Ambient":
-        """Return these circumstances with some values replaced."""
+        """Return the covariates with some values replaced."""
         return Ambient(**self.values | values)
 
 
@@ -71,7 +71,7 @@ class HandMotion(eqx.Module):
     elapsed : time since the pose, s; negative before it.
     rate : inertial rate of the body as its gyros saw it, rad/s, body axes.
     acceleration : its derivative, rad/s².
-    carried : 1 where the unit is carried; 0 where it stands on a table, and all else is the identity or 0.
+    carried : 1 where the unit is carried; 0 if it stands on a table, and all else is the identity or 0.
     """
 
     turn: Matrices
@@ -82,20 +82,20 @@ class HandMotion(eqx.Module):
 
 
 class Motion(eqx.Module):
-    """Where the unit is and how it turns, at one instant.
+    """Attitude and rotation of the unit at one instant.
 
     Attributes
     ----------
-    base : C_nt at table angle 0.
-    mounting : body → table.
+    base : rotation from the table at angle 0 to the local level n, shape (3, 3).
+    mounting : rotation from body to table, shape (3, 3).
     table_angle, table_rate, table_acceleration : of the table about its axis; rad, rad/s, rad/s².
     reference_rate, reference_acceleration : inertial rotation that a reference gyro measured, in body axes, rad/s and
         rad/s²; zero where none rides along.
     gravity : specific force of a body at rest, in n, m/s².
     earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
-    outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None where no run has
+    outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None if no run has
         any.
-    hand : motion since the pose of a unit that is carried; None where no run has any.
+    hand : motion since the pose of a unit that is carried; None if no run has any.
 
     Examples
     --------
@@ -125,7 +125,7 @@ class Records(eqx.Module):
     node : shape (N,), the node at each place of this order.
     place : shape (n,), the place in this order of each node of a path; a path may hold chosen nodes alone.
     begins : shape (N,), whether a run begins here.
-    seconds : shape (N,), since the place before, 0 where a run begins or has no time.
+    seconds : shape (N,), since the place before, 0 if a run begins or has no time.
     ambient : circumstances, in this order.
     """
 
@@ -156,8 +156,8 @@ class Nodes(eqx.Module):
     ambient : circumstances of each node.
     injected : shape (N,), 1 where a current is injected.
     records : the nodes in the order of time.
-    outer : the axes that carry the inner one, leaves (N, …); None where no run has any.
-    hand : motion since the pose, leaves (N, …), by the nominal gyros; None where no unit is carried.
+    outer : the axes that carry the inner one, leaves (N, …); None if no run has any.
+    hand : motion since the pose, leaves (N, …), by the nominal gyros; None if no unit is carried.
     """
 
     stands: Motion
@@ -183,11 +183,11 @@ class Nodes(eqx.Module):
 
 
 class Experience(eqx.Module):
-    """What acts at the place of one channel, in body axes.
+    """Motion and specific force at the place of one channel, in body axes; vectors have the shape (3,).
 
     `rate` is inertial (rad/s), `force` the specific force (m/s²); `table_rate` and `table_acceleration` are the
     table's rotation, which moves a point off the axis; `north` and `up` are unit vectors of the local level,
-    zero where nobody knows how the unit stands.
+    zero if the attitude of the unit is unknown.
 
     Examples
     --------
@@ -208,7 +208,7 @@ class Experience(eqx.Module):
 
 
 class Sample(eqx.Module):
-    """What one channel experiences, along its own nominal (I, O, S) axes, with the circumstances.
+    """Motion and specific force along the nominal (I, O, S) axes of one channel, shape (3,) each, with the covariates.
 
     `acceleration` is angular, of the table; the other vectors are those of `Experience`.
     `output_scale` is the channel's nominal scale, output units per rad/s or m/s².

@@ -64,11 +64,11 @@ _MOST_STORED, _LEAST_KEPT = 10_000_000, 20_000
 
 @dataclass(frozen=True)
 class Settings:
-    """How to sample; `walkers` of 0 takes the smallest number that emcee's moves allow.
+    """Settings of the sampler; `walkers` = 0 means the smallest number that emcee's moves allow.
 
-    `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
-    memory allows.  Of longer chains some steps are kept, `most_kept` draws in all, fewer where the parameters are many;
-    the checkpoint has them all.
+    Each ensemble takes at least `least_steps` after the burn-in; `most_steps` = 0 means as many as memory allows.
+    Longer chains are thinned to `most_kept` draws in all, fewer if there are many parameters; the checkpoint has all
+    steps.
 
     Examples
     --------
@@ -229,7 +229,7 @@ def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.Stat
 
 
 def _lacking(chains: Chains) -> int:
-    """Return the further steps that the Monte Carlo errors ask for; 0 where they ask for none."""
+    """Return the further steps that the Monte Carlo errors ask for; 0 if they ask for none."""
     each, steps = chains.log_density[:, 0].size, chains.log_density.shape[1]
     wanted = min(_MARGIN * min(chains.diagnosis.longer, _MOST_LONGER) * steps, MOST_DRAWS / each)
     return max(math.ceil(wanted) - steps, 0) if chains.diagnosis.longer > 1 else 0

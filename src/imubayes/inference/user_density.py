@@ -59,7 +59,7 @@ class Samples:
     chains : draws, log densities, acceptance and convergence, with burn-in removed.
     evaluations : of the log density at one point, with or without its gradient, that this took.
     most_evaluations : the budget of them.
-    ended : why the sampling ended without convergence, and what to do, in a sentence; empty where it converged.
+    ended : why the sampling ended without convergence, and what to do, in a sentence; empty if it converged.
 
     Examples
     --------
@@ -87,12 +87,12 @@ class Samples:
 
     @property
     def message(self) -> str:
-        """What did not converge, why it ended and what to do, in sentences; empty where all did."""
+        """The parameters that did not converge, the reason and the remedy, in sentences; empty if all converged."""
         return f"{self.chains.diagnosis.message} {self.ended}".strip()
 
     @property
     def blind_to(self) -> str:
-        """What `converged` cannot see, in a sentence: distant modes."""
+        """The limit of `converged`, in a sentence: distant modes are not seen."""
         return BLIND
 
     @cached_property
@@ -119,10 +119,10 @@ def sample(
 ) -> Samples:
     """Sample a log density of your own by independent ensembles.
 
-    They have a proposal where JAX tells the mode, or from chains from the stated starts, which have to agree with it;
-    without one, Hamiltonian Monte Carlo follows a JAX function if `imubayes[gradient]` is installed.  They run until
-    nested R̂ and all effective sample sizes suffice, or the budget of evaluations is used up: then the answer is not
-    converged, and its message says so.  A mode that no walker came near is not seen.
+    The proposal follows from the mode, if JAX finds it, or from chains that begin at the stated start; both have to
+    agree. Without a proposal, Hamiltonian Monte Carlo follows a JAX function if `imubayes[gradient]` is installed. The
+    ensembles run until nested R̂ and all effective sample sizes suffice, or the budget of evaluations is used up. In
+    that case the answer is not converged, and its message says so. A mode that no walker came near is not seen.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def sample(
     settings : of the sampler.
     most_evaluations : budget of evaluations of the density at a point, with or without its gradient; a block of steps
         may go beyond it.  None for 2 million, 100 million where gradients lead the chains.
-    checkpoint : file in which the chains are kept; a temporary one where None.
+    checkpoint : file in which the chains are kept; a temporary one if None.
     resume : continue the checkpoint.
     progress : called with a line on the steps done, how far the chains are from their goals, and the evaluations.
 
@@ -169,7 +169,7 @@ def sample(
 
 @dataclass(frozen=True)
 class _Begun:
-    """Where ensembles begin, and by which moves they go on: of a proposal, or along gradients where there is none."""
+    """Where ensembles begin, and by which moves they go on: of a proposal, or along gradients if there is none."""
 
     starts: list[np.ndarray]
     weighed: WeighedProposal | None
@@ -206,7 +206,7 @@ def _begun(
 
 
 def _ended(chains: Chains, density: CountedDensity, steps: int) -> str:
-    """Return why chains of so many steps ended without convergence, and what to do; empty where they converged."""
+    """Return why chains of so many steps ended without convergence, and what to do; empty if they converged."""
     if chains.diagnosis.converged:
         return ""
     used = f"{density.used} evaluations of the log density, of a budget of {density.most}"
@@ -247,7 +247,7 @@ def _checkpoint(
 
 
 def _checked_names(names: Sequence[str], parameters: int) -> tuple[str, ...]:
-    """Return the names, made up where there are none; raise InputError where their number is another."""
+    """Return the names, made up if there are none; raise InputError where their number is another."""
     given = tuple(names) or tuple(f"x{place}" for place in range(parameters))
     if len(given) != parameters:
         what = f"{len(given)} names for {parameters} parameters"

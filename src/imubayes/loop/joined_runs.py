@@ -153,10 +153,11 @@ def _new_runs(known: Campaign, campaign: Campaign) -> list[Run]:
     if new:
         return new
     raise input_error(
-        f"all runs of '{campaign.name}' were fitted",
+        f"the fit contains all runs of '{campaign.name}'",
         campaign.folder or campaign.name,
-        "a run that the fit has not seen",
-        "name a campaign with other runs, or fit a part of these",
+        "a campaign with runs that the fit does not contain",
+        "name a campaign with other runs, or leave runs out of the fit; `imubayes history` compares models of the "
+        "same runs",
     )
 
 

@@ -185,7 +185,7 @@ class Model:
     layout, hyper_layout : names and priors of θ and of h, in the order of the flat vectors.
     problem : the arrays.
     assembly : the effects and channels they are made from.
-    left_out : effects of the model that the campaign, having one run of their channels, cannot tell.
+    left_out : effects of the model that the campaign cannot determine, because it has one run of their channels.
 
     Examples
     --------
@@ -221,7 +221,7 @@ class Model:
 
     @property
     def output_names(self) -> np.ndarray:
-        """Names of what `entries.channel` counts, (K + 3,): channels, then components of a closing rotation."""
+        """Names of the outputs of `entries.channel`, (K + 3,): channels, then components of a closing rotation."""
         return np.array([*(each.name for each in self.campaign.channels), "closure_x", "closure_y", "closure_z"])
 
     @property
@@ -461,7 +461,7 @@ def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:
             pair = f"'{effect.name}' and '{other.name}' do not go together"
             what = f"the effect '{effect.name}' is listed twice" if same else pair
             on = f" on {', '.join(shared)}" if shared else ""
-            remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
+            remedy = f"keep one of them, or give each its own 'channels'; the other one: {other.spec.where}"
             yield Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy)
 
 

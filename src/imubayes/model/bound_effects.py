@@ -308,7 +308,7 @@ def _not_observable(
         Issue(
             f"no run can show '{spec.name}': {why}",
             spec.where,
-            "effects to which the runs respond, by what they supply: " + ", ".join(sorted(set().union(*supplies))),
+            "effects of the inputs that the runs supply: " + ", ".join(sorted(set().union(*supplies))),
             "leave the effect out or mark it 'optional = true', or add a run that shows it",
         ),
         missing,

@@ -96,13 +96,13 @@ def parameter(
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
         width where the campaign states it, or empty.
     null : the value, in SI, at which the effect is the identity.
-    per : what a value belongs to, where that differs from the effect's own `per`.
+    per : sharing of its values, if it differs from the effect's own `per`.
     spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
     shape : for a nonlinear parameter that is not identified while the effect's coefficient is zero (a time constant,
         a limit): the grid, in `unit`, of the profile scan.
-    coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None where it is the same
+    coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None if it is the same
         for all grades.
-    domain : what it can be, by its unit where none is declared; None where only the prior says so.
+    domain : possible values, by default those of its unit; None if only the prior limits them.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def named_in[Member](module: ModuleType, base: type[Member]) -> list[type[Member
 class Parameter:
     """One scalar parameter: `effect.parameter[label]` with unit, the unit's SI value, and prior in SI.
 
-    `output` is what the word `output` in its unit stands for; empty where that is not one unit.  `typical` are the
+    `output` is what the word `output` in its unit stands for; empty if that is not one unit.  `typical` are the
     smallest and the largest magnitude met in practice, in the unit.
     """
 
@@ -222,7 +222,7 @@ class Parameter:
         return self.prior.sd() / self.factor
 
     def z_at(self, value: float) -> float | None:
-        """Return z of a value in the parameter's unit; None where its prior excludes that value."""
+        """Return z of a value in the parameter's unit; None if its prior excludes that value."""
         try:
             z = float(self.prior.z(value * self.factor))
         except (ValueError, ZeroDivisionError, OverflowError):

@@ -36,7 +36,10 @@ def centrifuge_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookRes
             estimates = term_estimates(campaign, group, place, still_only=False, method=METHOD)
             found += estimates
             if estimates and channel.kind == "accelerometer":
-                said = f"{channel.name}: K1 apart from the radius of the arm, K_oq apart from its stretch"
+                said = (
+                    f"{channel.name}: K1 is not separated from the radius of the arm, K_oq is not separated from its "
+                    "stretch"
+                )
                 found.append(Undetermined(names_of(group), said))
     return found
 

@@ -7,7 +7,7 @@ and more.  The sensor is out of the loop, which separates the gain drift of the 
 The question is whether one line serves all inputs.  For each input (1 g, 1/√3 g in the trihedral mounting, a current
 equivalent to several g) the output is linear in the converter temperature, D = f(T) = D₀ + s T, with its slope s and
 its intercept D₀ at 0 °C.  With k the slope per unit of input at 1 g and k′ that at another input, Δk = |k′ − k|/|k|.
-An injected current is compared with the injected current that stands for 1 g, where there is one: the sensor is in
+If a current equivalent to 1 g was injected, other injected currents are compared with it, because the sensor is in
 neither.  Δk of the raw slopes s, not divided by the input, is given beside it: it is zero for a drift of the offset
 alone.
 

@@ -162,16 +162,17 @@ def _left_open(name: str, letter: str, terms: Terms, positions: int) -> str:
     """Return which terms are not determined, and what is assumed of them."""
     written = {"K_xx": f"K_{letter}{letter}", "K_ix": f"K_i{letter}"}
     reasons = {
-        "K_xx": f"K_{letter}{letter} apart from K0 and K2 (sin² + cos² = 1)",
-        "K3": f"K3 apart from K1 ({positions} positions)",
-        "K_oq": f"K_oq apart from K1 and K3 ({positions} positions)",
+        "K_xx": f"K_{letter}{letter} is not separated from K0 and K2 (sin² + cos² = 1)",
+        "K3": f"K3 is not separated from K1 ({positions} positions)",
+        "K_oq": f"K_oq is not separated from K1 and K3 ({positions} positions)",
     }
     reason = "; ".join(
-        reasons.get(symbol, f"{written.get(symbol, symbol)} ({positions} positions)") for symbol in terms.assumed
+        reasons.get(symbol, f"{written.get(symbol, symbol)} is not determined ({positions} positions)")
+        for symbol in terms.assumed
     )
     perpendicular = "p" if letter == "o" else "o"
     beyond = f"δ_{perpendicular}, K_i{perpendicular} and K_{perpendicular * 2} (no specific force along that axis)"
-    return f"{name}: {reason}; the textbook assumes zero. Nor {beyond}"
+    return f"{name}: {reason}; the textbook assumes zero. Not determined either: {beyond}"
 
 
 DIVIDING_HEAD = Procedure(

@@ -317,8 +317,8 @@ def _left_open(channel: Channel, terms: Sequence[FittedTerm], kept: Sequence[int
     left = [term for place, term in enumerate(terms) if place not in kept]
     zero = ", ".join(term.symbol.removeprefix("−") for term in left if term.assumed_zero)
     unseen = ", ".join(term.symbol for term in left if not term.assumed_zero)
-    sentences = [f"{zero} cannot be separated; assumed zero"] if zero else []
-    sentences += [f"{unseen} by themselves"] if unseen else []
+    sentences = [f"{zero} cannot be separated from the others; assumed zero"] if zero else []
+    sentences += [f"{unseen} are determined only in combinations"] if unseen else []
     return [Undetermined(runs, f"{channel.name}: {sentence}") for sentence in sentences]
 
 

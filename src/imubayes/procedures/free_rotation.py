@@ -1,11 +1,11 @@
 """Free rotation: a unit that is turned about an unknown axis, at an unknown rate.
 
 On a screwdriver, a bicycle wheel or an office chair that lies on its side, gravity turns in body axes: its turns are
-counted to a degree, however the axis lies, wobbles or drags.  The scale factor of a gyro along the axis is the angle
-that it saw over the angle that gravity counted, without a rate table; forward and reverse turns separate its bias.
-Several axes of the body, each both ways, make the triad.  The accelerometers have |f| = g and the centripetal
-acceleration of a seat that was not measured (`rotation_centre`).  About a vertical axis gravity does not turn, and
-the scale factor is not determined.
+counted to a degree, even if the axis wobbles or moves.  The scale factor of a gyro along the axis is the ratio of the
+angle that it measured to the angle counted by gravity; no rate table is needed.  Forward and reverse turns separate the
+bias.  Turns about several body axes, in both directions each, determine all three gyros.  The accelerometers measure
+gravity and the centripetal acceleration at the unit, whose distance from the axis is unknown (`rotation_centre`).
+About a vertical axis gravity does not turn, and the scale factor is not determined.
 
 The textbook estimate counts the turns by the phase of the rotating force: a line through the angle of the gyro against
 the phase of gravity.

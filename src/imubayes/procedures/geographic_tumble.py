@@ -68,7 +68,10 @@ def _of_channel(tested: Evaluation, force: np.ndarray, drift: np.ndarray) -> lis
         up, down = value[pair]
         found.append(tested.estimate(f"gyro_g_sensitivity.d_{letter}", (up - down) / 2, half, "deg/h/g"))
         found.append(tested.estimate(f"D_F+D_{letter.upper() * 2}", (up + down) / 2, half, "deg/h"))
-    left = "D_IO, D_OS and D_SI (only one axis sees gravity at a time); D_F apart from D_II, D_OO, D_SS"
+    left = (
+        "D_IO, D_OS and D_SI are not determined (only one axis sees gravity at a time); D_F is not separated from "
+        "D_II, D_OO, D_SS"
+    )
     return [*found, Undetermined(tested.run, f"{tested.of}: {left}")]
 
 

@@ -1,6 +1,6 @@
 """Table of two or three axes: static positions and rates about its axes, one at a time or several together.
 
-The outer axis carries the middle one, that the inner one, and that the unit; the entry of the table states their
+The outer axis carries the middle axis, which carries the inner one with the unit; the entry of the table states their
 directions. `table_rate_deg_s` and `table_angle_deg` are those of the inner axis.
 
 The textbook evaluates all rows of a temperature together, in any mounting: accelerometers in the static rows, by least

@@ -299,7 +299,7 @@ def _advice(
         reached = fitted_terms.rank(np.concatenate([design, sweep]))
         if reached > gained:
             best, gained, further = text, reached, np.concatenate([design, sweep])
-    sentence = f"{tested.of}: {', '.join(together)} apart from each other; "
+    sentence = f"{tested.of}: {', '.join(together)} are not separated from each other; "
     if not best:
         return [
             Undetermined(tested.run, f"{sentence}no sweep separates them, since |f| = 1 g in every static position")

@@ -108,7 +108,7 @@ class BeforeAfter(Record):
 
 
 class Observation(Record):
-    """What the refit found.
+    """Results of the refit.
 
     Attributes
     ----------
@@ -393,7 +393,7 @@ def read_diagnosis(folder: Path) -> Diagnosis | None:
     Raises
     ------
     InputError
-        where the result is not whole, or the diagnosis is altered or of another fit.
+        if the result is not whole, or the diagnosis is altered or of another fit.
     """
     file = added(folder, DIAGNOSIS)
     return _read(file, Diagnosis) if file is not None else None

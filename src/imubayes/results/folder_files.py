@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import PATIENCE, changing, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
@@ -79,7 +80,7 @@ _NEEDED = (SUMMARY, RESIDUALS)
 
 
 def complete(folder: Path) -> None:
-    """Complete a change of a result folder that was committed and then interrupted; raises InputError where not."""
+    """Complete a change of a result folder that was committed and then interrupted; raises InputError if not."""
     complete_change(folder, MANIFEST)
 
 
@@ -94,6 +95,9 @@ def missing(folder: Path) -> list[Issue]:
         return [Issue("there is no such result folder", str(folder), listed, remedy)]
     if not folder.is_dir():
         return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    if (folder / CAMPAIGN_FILE).is_file() and not (folder / SUMMARY).is_file():
+        remedy = "give the folder that a fit of this campaign wrote (--out)"
+        return [Issue("this is a campaign folder, not a result folder", str(folder), allowed, remedy)]
     if _only_begun(folder):
         return [Issue("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
     absent = [name for name in _NEEDED if not (folder / name).is_file()]
@@ -114,8 +118,8 @@ def _only_begun(folder: Path) -> bool:
 def trust(place: str | Path) -> tuple[Path, ...]:
     """Remember the effect files of a result folder or a model file, or one such file, as trusted; return them.
 
-    Effect files are code.  They run where the user names their model; those that come along with a result run only
-    where they are trusted, as they are: a file that was changed is another one.
+    Effect files are code.  They run if the user names their model.  Effect files that come with a result run only if
+    they are trusted; a file that was changed has to be trusted again.
 
     Parameters
     ----------
@@ -124,7 +128,7 @@ def trust(place: str | Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        where they cannot be read.
+        if they cannot be read.
 
     Examples
     --------
@@ -183,7 +187,7 @@ def checked(folder: Path) -> Manifest:
     Raises
     ------
     InputError
-        where there is no result, or one that is truncated, altered, mixed, or older than manifests.
+        if there is no result, or one that is truncated, altered, mixed, or older than manifests.
     """
     return _settled(folder, lambda manifest: _faults(folder, manifest.fit, AGAIN))
 
@@ -249,7 +253,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
     Raises
     ------
     InputError
-        where there is no whole result, or another one by now.
+        if there is no whole result, or another one by now.
     """
     with only_writer(folder, PATIENCE):
         manifest = same_fit(folder, identity)
@@ -268,7 +272,7 @@ def mark_selected(folder: Path, selection: int) -> None:
 
 
 def same_fit(folder: Path, identity: str) -> Manifest:
-    """Return the manifest; raises InputError where the folder holds another fit than the one that was read."""
+    """Return the manifest; raises InputError if the folder holds another fit than the one that was read."""
     manifest = checked(folder)
     if identity and manifest.identity != identity:
         raise input_error(

@@ -88,9 +88,9 @@ def refuse_taken(folder: Path, parent: Path | None) -> None:
     complete(folder)
     if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
         raise input_error(
-            "the folder holds a result already",
+            "the folder already contains a result",
             str(folder),
-            "a folder that does not exist yet: each model tried keeps its own",
+            "a folder without a result",
             "choose another --out, or remove the folder",
         )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from imubayes.campaign import load_campaign
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.records import Record
@@ -85,7 +86,7 @@ def _folder(places: CampaignPlaces, folder: Path) -> Path:
     roots = ((Path(), places.absolute), (Path(), places.given), (folder, places.from_result))
     candidates = [root / place for root, place in roots if place]
     for place in candidates:
-        if (place / "campaign.toml").is_file():
+        if (place / CAMPAIGN_FILE).is_file():
             return place
     what = f"the campaign is not at '{places.given}' any more" if candidates else "the campaign was never in a folder"
     raise input_error(

@@ -29,7 +29,7 @@ class PredictionSummary(Record):
 
     Attributes
     ----------
-    campaign, result_campaign, model : what was predicted, and the fit.
+    campaign, result_campaign, model : names of the predicted campaign, of that of the fit, and of the model.
     verdict : whether the runs are as predicted.
     runs : n, χ² by the predictive distribution and residual rms of each run and channel.
     chi2, n, p : of all readings together; n are degrees of freedom.
@@ -39,7 +39,7 @@ class PredictionSummary(Record):
     shifts : of the estimates, largest pull first.
     fitted, changed, elsewhere : runs left out as the fit has seen them; equipment that is not that of the fit although
         named alike; whether the site is another one.
-    unknowns : what was fitted of the new runs alone.
+    unknowns : parameters that belong to the new runs alone, and were fitted.
     """
 
     format: Literal[1] = 1
@@ -69,7 +69,7 @@ class RunPrediction(Presented):
 
     Attributes
     ----------
-    summary : what is said of them.
+    summary : the record of the prediction.
     residuals : one row per new run, row and channel; `whitened` is by the predictive distribution.
     fit : summary of the fit.
 

@@ -57,7 +57,7 @@ class ComparedQuantity(Record):
     e_n : normalised error, k = 2.
     p : chance of so large a difference.
     moved : whether it is beyond chance, for all quantities that are compared together.
-    pooled, pooled_sd : by both calibrations as one; None where they may not be pooled.
+    pooled, pooled_sd : by both calibrations as one; None if they may not be pooled.
     """
 
     name: str
@@ -82,7 +82,7 @@ class NextDue(Record):
     Attributes
     ----------
     rate, rate_sd : drift per year, and its standard uncertainty.
-    lower, upper : limits; None where there is none.
+    lower, upper : limits; None if there is none.
     days : after the second calibration, until the value with its expanded uncertainty (k = 2) reaches a limit; None
         where it does not within ten times the days between both.
     """
@@ -97,19 +97,19 @@ class NextDue(Record):
 
 
 class Repeatability(Presented, Record):
-    """Two calibrations compared, as `imubayes compare A B --json` says it (format 1).
+    """Two calibrations compared, as `imubayes compare A B --json` prints it (format 1).
 
     Attributes
     ----------
-    serial, campaigns, models, dates : of the unit, and of both calibrations; the first run, None where not stated.
+    serial, campaigns, models, dates : of the unit, and of both calibrations; the first run, None if not stated.
     days : from the first run of one to that of the other.
     verdict : whether the two agree.
     chi2, freedom, p : of the differences of the parameters that both determine, together.
-    quantities : what both determine, largest |E_n| first.
-    not_determined : what at least one of them leaves to its prior.
-    other_priors : what has another prior in the two, which are then compared as if nothing were common to them.
+    quantities : quantities that both determine, largest |E_n| first.
+    not_determined : quantities that at least one of the two did not determine.
+    other_priors : quantities with different priors in the two; they are compared as if nothing were common to them.
     pooled : whether both may be taken as one: they agree, and have the same priors.
-    changed, elsewhere : equipment and site that is not the same in both.
+    changed, elsewhere : equipment and site that differ between the two.
     due : where limits were stated, when each quantity may reach them; soonest first.
 
     Examples

@@ -161,7 +161,7 @@ class Result(Presented):
     summary : every number that is reported, as in `summary.json`.
     residuals : one row per run, row and channel.
     folder : the result folder; None for none.
-    identity : of the fit in the folder, by its manifest; empty where none was written yet.
+    identity : of the fit in the folder, by its manifest; empty if none was written yet.
 
     Examples
     --------
@@ -191,7 +191,7 @@ class Result(Presented):
         Raises
         ------
         InputError
-            where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fitted.
+            if the folder holds no fit, the campaign is gone, or campaign or model are not those that were fitted.
         """
         if self._fit is not None:
             return self._fit
@@ -201,12 +201,12 @@ class Result(Presented):
 
     @property
     def posterior_file(self) -> Path | None:
-        """The file with the posterior draws; None where there is none.
+        """The file with the posterior draws; None if there is none.
 
         Raises
         ------
         InputError
-            where the folder no longer holds the result as it was read.
+            if the folder no longer holds the result as it was read.
         """
         if self.folder is None or not self.identity:
             return None
@@ -219,7 +219,7 @@ class Result(Presented):
         Raises
         ------
         InputError
-            where the fit did not converge, or the file with the draws cannot be read.
+            if the fit did not converge, or the file with the draws cannot be read.
         """
         if self._fit is not None and self._fit.posterior is not None:
             return posterior_tree(posterior_groups(self._fit))
@@ -299,7 +299,11 @@ def opened(result: Result | str | Path) -> Result:
 
 
 def read_result(folder: str | Path) -> Result:
-    """Read a result folder: summary and residuals at once, fit and posterior when they are asked for.
+    """Read a result folder: summary and residuals at once, fit and posterior when they are accessed.
+
+    Parameters
+    ----------
+    folder : the result folder.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class SoftwareVersion(Record):
 
 
 class FitProvenance(Record):
-    """What a fit comes from.
+    """Provenance of a fit.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class FitProvenance(Record):
     data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
     seed : of the sampler.
     software : versions that made the fit.
-    priors_from : what the priors were taken from, in words; empty for priors of the user.
+    priors_from : source of the priors, in words; empty for priors of the user.
     """
 
     serial: str
@@ -182,7 +182,7 @@ class RunSummary(Record):
 
 
 class PriorScatter(Record):
-    """A noise scale that the data hardly tell, and what rests on its prior.
+    """A noise scale that the data hardly determine, and the parameters that depend on its prior.
 
     Attributes
     ----------
@@ -217,14 +217,15 @@ class Summary(Record):
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
     noise_contradicted : comparisons of the noise scales that contradict the knowledge of them, the clearest first.
-    known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None if
+    known_noise : goodness of fit at the noise known beforehand, including the part that the noise of the fit absorbed;
+        None if
         the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
     left_out : effects between runs that one run of a channel cannot determine: not in the model, nor in the intervals.
-    exact : what the campaign says is not exact of site and equipment, and the model takes as exact: in no interval.
+    exact : stated uncertainties of site and equipment that the model takes as exact; no interval includes them.
     set_aside : readings that the model leaves out.
-    combinations : what is determined of the members of weak directions.
+    combinations : determined combinations of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
 

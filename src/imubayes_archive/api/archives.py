@@ -58,7 +58,7 @@ class BatchResult:
         return read_parameters(self.folder, self.model)
 
     def population(self, progress: Callable[[str], None] | None = None) -> Populations:
-        """Return what parts the units, mean and spread of every parameter, and the units that are unlike the others.
+        """Return groups of units, mean and spread of every parameter, and the units that differ from the others.
 
         Each unit is fitted again with the population of the others as its prior; the results folder keeps that.
         """
@@ -86,7 +86,7 @@ class BatchResult:
         Raises
         ------
         InputError
-            where no campaign has an estimate, and for effect files that are not trusted.
+            if no campaign has an estimate, and for effect files that are not trusted.
         """
         with progress_of(progress) as tell:
             scores = complete_scores(self.folder, self.model, lambda done, all_: tell(f"scores of {done} of {all_}"))
@@ -163,12 +163,12 @@ def load_batch(folder: str | Path, model: str | None = None) -> BatchResult:
     Parameters
     ----------
     folder : as written by `batch` or `imubayes batch`.
-    model : hash of the model, or its beginning; the only one where None.
+    model : hash of the model, or its beginning; the only one if None.
 
     Raises
     ------
     InputError
-        where there is no such model, or several and none is named.
+        if there is no such model, or several and none is named.
 
     Examples
     --------

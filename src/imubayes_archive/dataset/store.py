@@ -120,7 +120,8 @@ def campaign_folders(places: Iterable[str | Path]) -> list[Path]:
         found.update(dict.fromkeys(here))
         if not here:
             what = "there is no campaign below the folder" if place.is_dir() else "there is no such folder"
-            issues.append(Issue(what, str(place), f"a folder with {CAMPAIGN_FILE}, or of such folders", "correct it"))
+            allowed = f"a folder with {CAMPAIGN_FILE}, or a folder that contains such folders"
+            issues.append(Issue(what, str(place), allowed, "correct the path"))
     refuse(issues)
     return list(found)
 

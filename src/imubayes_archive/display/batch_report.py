@@ -40,7 +40,10 @@ def comparison_report(found: ModelComparison) -> Report:
             said.append(f"{word} parameters: {', '.join(names)}")
     head = ("parameter", "unit", "changed", "mean change", "rms / sd", "sd new/old", "p", "units")
     rows = [_change_row(each) for each in found.parameters]
-    note = "changes beyond the variance that the new model adds, at a false discovery rate of 5 %"
+    note = (
+        "changed: campaigns in which the estimate changed by more than the additional variance of the new model "
+        "explains, at a false discovery rate of 5 %"
+    )
     sheet = Sheet("Changes", head, rows, left=(0, 1, 7), note=note)
     return Report(said, [sheet.with_few(0, 3, 1, 2, 6)])
 
@@ -142,7 +145,8 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: S
     units : the table of units of the model.
     doubts : why units need a person.
     """
-    said = f"{counted(state.done, 'unit')} fitted in {_duration(state.seconds)}, {state.before} done before"
+    before = f"; {counted(state.before, 'unit')} processed before" if state.before else ""
+    said = f"{counted(state.done, 'unit')} processed in {_duration(state.seconds)}{before}"
     failed = units.filter(pl.col("status") != "fitted")
     rows = [
         [str(row[name]) for name in ("unit", "status", "reason", "file")]

@@ -49,7 +49,7 @@ def _unknown(found: Populations) -> Iterator[str]:
     missing = [each for each in found.parameters if each.mean is None]
     for reason in dict.fromkeys(each.reason for each in missing):
         names = [each.parameter for each in missing if each.reason == reason]
-        yield f"No population, as {reason}: {listed(names)}."
+        yield f"No population of {listed(names)}: {reason}."
 
 
 def _of_doubted(fit: HierarchicalFit | None) -> Iterator[str]:
@@ -72,7 +72,7 @@ def _of_rounds(fit: HierarchicalFit | None) -> Iterator[str]:
     if fit.fitted:
         yield f"Fitted again with the noise scales of the others as prior: {counted(fit.fitted, 'unit')}."
     else:
-        yield "Each unit was fitted alone: its noise scales are not better known from the others."
+        yield "Each unit was fitted alone: the other units do not determine its noise scales better."
     if fit.left_out:
         yield f"Fitted alone: {listed(fit.left_out, 3)}."
 

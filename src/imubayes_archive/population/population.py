@@ -243,7 +243,7 @@ def population(units: UnitPosteriors) -> Population:
     count, used = len(units.mean), units.informative
     informative = int(used.sum())
     if informative < LEAST_UNITS:
-        return Population(count, informative, f"fewer than {LEAST_UNITS} units carry information on it")
+        return Population(count, informative, f"fewer than {LEAST_UNITS} units determine the parameter")
     posterior = _law(*(each[used] for each in units.likelihood))
     bits = information_error(posterior, units)
     if bits > MOST_BITS:

@@ -213,7 +213,9 @@ def _of_scales(
     """Return the population of a noise scale, and its units given it."""
     informative = int(within.informative.sum())
     if table.height < LEAST_UNITS:
-        return Population(table.height, informative, f"fewer than {LEAST_UNITS} units have an estimate of it"), None
+        return Population(
+            table.height, informative, f"fewer than {LEAST_UNITS} units have an estimate of the parameter"
+        ), None
     prior = float(np.median(within.prior_mean + explained)), float(np.median(within.prior_sd))
     grids, values = (np.array(table[name].to_list()) for name in ("log_grid", "log_likelihood"))
     found = scale_population(ScaleLikelihoods.of(grids - explained[:, None], values, prior), prior)

@@ -49,7 +49,7 @@ export function digits(value, count = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e7 || size < 1e-5) return value.toExponential(count - 1).replace("-", "−");
+  if (size >= 1e7 || size < 1e-5) return minus(value.toExponential(count - 1));
   // Rounded as in the sentences: one quantity has one figure.
   const rounded = Number(value.toPrecision(count)), places = Math.max(0, Math.min(8, count - 1 - Math.floor(Math.log10(Math.abs(rounded)))));
   return minus(rounded.toFixed(places));
@@ -126,7 +126,7 @@ export function ticks(splits) {
   const power = size >= 1e6 || (size > 0 && size < 1e-4) ? Math.floor(Math.log10(size)) : 0, scaled = step / 10 ** power;
   let places = Math.max(0, -Math.floor(Math.log10(scaled || 1) + 1e-9));
   while (places < 12 && Math.abs(scaled * 10 ** places - Math.round(scaled * 10 ** places)) > 1e-6 * scaled * 10 ** places) places += 1;
-  return splits.map((value) => (value === null ? null : `${(value / 10 ** power).toFixed(places)}${power && value ? `e${power}` : ""}`.replace(/^-(0(\.0*)?)$/, "$1").replaceAll("-", "−")));
+  return splits.map((value) => (value === null ? null : minus(`${(value / 10 ** power).toFixed(places)}${power && value ? `e${power}` : ""}`.replace(/^-(0(\.0*)?)$/, "$1"))));
 }
 
 const HUES = {

@@ -55,8 +55,8 @@ def apply(
         per channel in output units, and `converter_temperature_degC` and `temperature_degC` where the model depends on
         them.
     temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
-    nothing_across : whether there was no input across the axes of the channels.  What it may do is in the uncertainty
-        otherwise.
+    nothing_across : whether there was no input across the axes of the channels. Otherwise the uncertainty includes the
+        possible effect of such an input.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def correct(
     result : a fit of the unit, or its folder.
     recording : a CSV or Parquet table with a column per channel, of any length, or a campaign folder.
     out : the table to write, CSV or Parquet.
-    run : of the campaign, where it has several.
+    run : of the campaign, if it has several.
     temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
     progress : called with a short text as the work goes on.
 
@@ -171,7 +171,7 @@ def export_constants(
     topic: str = "/imu0",
     accept_loss: bool = False,
 ) -> tuple[Loss, ...]:
-    """Write the constants of a unit in the format of another program; return what that format leaves out.
+    """Write the constants of a unit in the format of another program; return the terms that the format leaves out.
 
     Parameters
     ----------
@@ -182,12 +182,12 @@ def export_constants(
     noise_of_another_unit : whether that record may be of another unit.
     rate : of the samples on board, Hz, for kalibr.
     topic : ROS topic, for kalibr.
-    accept_loss : whether to leave out what is larger than its uncertainty.
+    accept_loss : whether to leave out terms that are larger than their uncertainty.
 
     Raises
     ------
     InputError
-        where the format cannot hold the constants or needs what is not known, and for the noise of another unit.
+        if the format cannot hold the constants or needs what is not known, and for the noise of another unit.
 
     Examples
     --------
@@ -233,8 +233,8 @@ def navigation_impact(
     trajectory : CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg;
         without one the mission is level.
     duration, speed, heading : of a level mission: s, m/s and deg clockwise from North.
-    latitude : of its beginning, deg; that of the site where None.
-    temperature : of the unit, degC; the reference temperature of the constants where None.
+    latitude : of its beginning, deg; that of the site if None.
+    temperature : of the unit, degC; the reference temperature of the constants if None.
     rate : of the samples, Hz; without it their noise is left out, which the record says.
     aided_height : whether height and vertical velocity are known from elsewhere, as by a barometer.
 
@@ -261,7 +261,7 @@ def navigation_impact(
         site = found.fit.model.campaign.site
         at = site.latitude if latitude is None else math.radians(latitude)
         mission = level_mission(duration, at, speed, math.radians(heading))
-        moving = f"{speed:g} m/s, heading {heading:g}°" if speed else "at rest"
+        moving = f"at {speed:g} m/s, heading {heading:g}°" if speed else "at rest"
         name = f"{duration / 60:g} min {moving}, latitude {math.degrees(at):.4g}°"
     constants = constants_of(found)
     diagnosis = read_diagnosis(found.folder) if found.folder is not None else None
@@ -286,8 +286,8 @@ def report(
     Parameters
     ----------
     result : a result that has a folder, or the folder; its diagnosis and history are read from there.
-    specification : file with limits and decision rules; None where nothing is to be decided.
-    certificate : file with the certificate block (`imubayes schema certificate`); that of the specification where None.
+    specification : file with limits and decision rules; None if nothing is to be decided.
+    certificate : file with the certificate block (`imubayes schema certificate`); that of the specification if None.
     annexes : of page and PDF: results, budgets, evidence; None for all of a page, and the results alone of a PDF.
     sections : functions of the report that return further sections, such as a statement of traceability.
     out : file or files to write, by their endings: .html, .pdf, .json, .xml (DCC), .csv (covariance).

@@ -83,7 +83,7 @@ def is_placeholder(text: str) -> bool:
 
 def _identified(text: str) -> str:
     if is_placeholder(text):
-        raise ValueError(f"{text!r} is a placeholder: without this key, it is listed as missing")
+        raise ValueError(f"{text!r} is a placeholder; leave the key out to have it listed as missing")
     return text
 
 

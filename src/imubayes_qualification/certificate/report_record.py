@@ -42,7 +42,7 @@ class MonteCarloError(Record):
     digits : significant digits in which the uncertainties are stated; 0 if these errors leave none (JCGM 101, 7.9),
         so that the number is withheld.
     tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit where the number is withheld.
-    worst : what has the largest error.
+    worst : quantity with the largest error.
     draws_needed : how many times the draws would leave one digit, about.
     """
 
@@ -148,7 +148,7 @@ class NotEstimated(NamedByStandard):
         data do not determine it, so that only its prior is known.
     needs : covariates or conditions that the runs do not all supply.
     from_data : share of the information that came from the data; None if there is none.
-    screened : what the diagnosis estimated of them without adding them, the most significant first.
+    screened : estimates of these effects by the diagnosis, without adding them; the most significant first.
     """
 
     effects: tuple[str, ...]
@@ -219,7 +219,7 @@ class ThermalLinearity(ReportedEstimate):
 
 
 class LimitOutcome(Record):
-    """One limit of the specification and what the rule says of it; numbers in `unit`, None for no limit.
+    """One limit of the specification and the decision by the rule; numbers in `unit`, None for no limit.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class LimitOutcome(Record):
     consumer_risk, producer_risk : specific risks; global ones where the production is known.
     withheld : why there is no decision; None if there is one.
     monte_carlo : errors of the estimate; None if it is exact.
-    omitted_ratio : factor by which what U omits would multiply it.
+    omitted_ratio : factor by which the omitted contributions would multiply U.
     """
 
     name: str
@@ -282,7 +282,7 @@ class Conformity(Record):
     Attributes
     ----------
     sha256 : of the specification file.
-    outcome : the worst of all limits, and no better than withheld where there is an obstacle.
+    outcome : the worst of all limits, and no better than withheld if there is an obstacle.
     obstacles : why the unit cannot pass, whatever the limits say.
     """
 
@@ -294,7 +294,7 @@ class Conformity(Record):
 
 
 class ModelTried(Record):
-    """One model of the history: what was added, what it brought, and whether it was taken and is selected."""
+    """One model of the history: the effects added, the improvement, and whether it was taken and is selected."""
 
     id: str
     title: str
@@ -318,7 +318,7 @@ class Adequacy(Record):
     candidates : effects that were weighed.
     missing : effects that the diagnosis names.
     undetectable : effects that these runs cannot show.
-    most_biasing : what the worst of them would do to the estimates; None if that would not matter.
+    most_biasing : largest bias of an estimate by one of them; None if that would not matter.
     noise_violations : how the noise departs from its model.
     noise_suspected : how it may depart, although it may be chance.
     diagnoses : how often it was looked: diagnoses in the history of models, the last one included.
@@ -404,8 +404,8 @@ class StatisticalScope(Record):
     ----------
     ranges : of the covariates; nothing is said beyond them.
     first_start, last_start : of the runs.
-    not_supplied : effect and what no run supplied for it.
-    weak_directions : what the data did not determine.
+    not_supplied : effect and the inputs that no run supplied for it.
+    weak_directions : combinations of parameters that the data did not determine.
     from_priors : quantities of the result table for which less than a tenth of the information came from the data.
     """
 
@@ -418,7 +418,7 @@ class StatisticalScope(Record):
 
 
 class ReportSection(Record):
-    """A section that the author of a report adds: text, and a table where it has rows.
+    """A section that the author of a report adds: text, and a table if it has rows.
 
     Attributes
     ----------
@@ -444,16 +444,16 @@ class QualificationReport(Record):
 
     Attributes
     ----------
-    interval : what every interval is; its kind, symmetric, equal-tailed or shortest, stands with each.
+    interval : coverage of all intervals; each states its kind: symmetric, equal-tailed or shortest.
     conformity : None if no specification was given.
-    exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
+    exact : errors of site and equipment that the model takes as exact; those marked as included are in every U.
     budgets : None if the fit did not converge.
     measurement : the equations of the model.
-    pictures : what the pictures show, as numbers.
-    certificate : what the laboratory states; None if it states nothing.
-    missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
+    pictures : the numbers that the pictures show.
+    certificate : statements of the laboratory; None if it states nothing.
+    missing : requirements of ISO/IEC 17025 that are not met, and statements that contradict the campaign.
     floors, unused_capabilities : quantities whose U is the capability of the laboratory; those that the result lacks.
-    supplied : what the author of the report added; the package computed none of it.
+    supplied : sections that the author of the report added; the package computed none of them.
     """
 
     format: Literal[1] = 1
@@ -487,7 +487,7 @@ class QualificationReport(Record):
         return *self.results, *self.mounting_angles, *self.standards, *self.combinations, *self.thermal_linearity
 
     def __getitem__(self, name: str) -> ReportedEstimate:
-        """Return what is stated of a quantity by its name; raises `KeyError` for one that the report does not have."""
+        """Return the statement of a quantity by its name; raises `KeyError` if the report does not have it."""
         known = {each.name: each for each in self.estimates}
         if name not in known:
             raise KeyError(f"the report has no quantity '{name}': {closest_first(name, known, most=5)}")

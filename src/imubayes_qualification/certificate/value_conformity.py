@@ -32,10 +32,10 @@ class ConformityStatement(Presented):
     value, uncertainty, expanded : estimate, u, and U of 95 % coverage.
     limits : lower and upper; infinite for none.
     rule : as applied.
-    outcome : pass, conditional pass, conditional fail or fail; withheld where a probability that it needs is.
+    outcome : pass, conditional pass, conditional fail or fail; withheld if a probability that it needs is.
     guard_band : w inside each limit; None for rules on probabilities.
-    acceptance : estimates with which a unit is delivered; None where none is.
-    conformance : p_c, the probability that the quantity is within the limits; None where it is withheld.
+    acceptance : estimates with which a unit is delivered; None if none is.
+    conformance : p_c, the probability that the quantity is within the limits; None if it is withheld.
     consumer_risk, producer_risk : specific risks, of the decision that was taken.
     global_consumer_risk, global_producer_risk : shares of all units tested, where the production is known.
 
@@ -83,14 +83,14 @@ def conformity(
 
     Parameters
     ----------
-    measured : of `propagate`; or ``report[name]``, if y ± U; or (estimate, u), if normal; or draws, (S,), S ≥ 400.
+    measured : of `propagate`; or ``report[name]``; or (estimate, u), if normal; or draws, shape (S,), S ≥ 400.
     lower, upper : limits.
     rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
         conformance_probability, specific_risk, or global_risk, which needs a production.
     factor, width : of the guard band, in u or in the unit of the quantity.
     probability : least conformance probability, or largest risk; 0.95 and 0.05.
     production : mean and standard deviation of the true values of all units tested.
-    output : of the equation, where it has several.
+    output : of the equation, if it has several.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def _stated(measured: tuple[float, float] | ReportedEstimate) -> tuple[float, fl
 def _conformance_of_draws(
     marginal: Marginal, tolerance: rules.ToleranceInterval, rule: rules.DecisionRule
 ) -> rules.ProbabilityByTwoMethods:
-    """Return p_c of a distribution that the draws define, withheld where their error spans the bound of the rule.
+    """Return p_c of a distribution that the draws define, withheld if their error spans the bound of the rule.
 
     The equation may have any distribution: that a fitted one differs from it tells nothing of the draws.
     """

@@ -55,7 +55,8 @@ def incomplete_lines(rows: int) -> list[str]:
 
 def taken_as_exact_lines(exact: Sequence[UncertainEquipment], uncertainty: str) -> list[str]:
     """Return what the model takes as exact and an uncertainty contains nevertheless, as a line; none for nothing."""
-    return [f"note: {uncertainty} contains {exact_text(exact)}, taken as exact by the model"] * bool(exact)
+    said = f"note: taken as exact by the model: {exact_text(exact)}; {uncertainty} includes this"
+    return [said] * bool(exact)
 
 
 def beyond_lines(beyond: Mapping[str, int], ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:

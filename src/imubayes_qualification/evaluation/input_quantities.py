@@ -29,8 +29,9 @@ class InputQuantity:
     value, uncertainty : estimate and standard uncertainty.
     distribution : of its value.
     type : A from readings or draws of a fit, B from anything else (GUM 4).
-    degrees_of_freedom : of the standard uncertainty; infinite where it is exact.
-    half_width, inexact : half the distance of the limits, and what they are known to; 0 without limits.
+    degrees_of_freedom : of the standard uncertainty; infinite if it is exact.
+    half_width, inexact : half the distance of the limits, and half the range in which each limit lies; 0 without
+        limits.
     top : of a trapezoid, its upper side over its base.
     draws : shape (S,), where these are the distribution; inputs with as many draws as each other are paired.
 
@@ -63,7 +64,7 @@ class InputQuantity:
         Raises
         ------
         InputError
-            for an uncertainty or degrees of freedom that are not positive, and what is not finite.
+            for an uncertainty or degrees of freedom that are not positive, and for values that are not finite.
         """
         if not (math.isfinite(value) and math.isfinite(uncertainty) and uncertainty >= 0):
             raise _error(name, f"the estimate {value:g} with the standard uncertainty {uncertainty:g}",
@@ -103,8 +104,7 @@ class InputQuantity:
         Raises
         ------
         InputError
-            for limits that are crossed or not finite, and an upper side, inexact limits or degrees of freedom that
-            are none.
+            for limits that are crossed or not finite, and for invalid `top`, `inexact` or `degrees_of_freedom`.
         """
         half = (high - low) / 2
         if not (math.isfinite(half) and half > 0):

@@ -40,7 +40,7 @@ class KnownAnswer(Record):
     subject : what was computed.
     source : where the known value was published, or how it is known.
     known, found : in the unit that the subject names.
-    allowed : largest difference; half of the last published digit, or what a finite number of draws explains.
+    allowed : largest difference; half of the last published digit, or the scatter of a finite number of draws.
 
     Examples
     --------

@@ -5,7 +5,7 @@ Of first order it has the sensitivities ∂f/∂xᵢ (GUM 5.1.2, and 5.2.2 for c
     Σᵢⱼ (½ fᵢⱼ² + fᵢ fᵢⱼⱼ),    y₂ = f(x) + ½ Σᵢ fᵢᵢ,
 
 of normal inputs, with derivatives along independent scores zᵢ: x + L z, L Lᵀ the covariance, where zᵢ = xᵢ/u(xᵢ) for
-independent inputs (GUM 5.1.2, note).  They are withheld where they would take half the variance or more.  Effective
+independent inputs (GUM 5.1.2, note).  They are withheld if they would take half the variance or more.  Effective
 degrees of freedom are those of Welch–Satterthwaite (G.4.1) with the whole variance: inputs that are correlated have
 infinitely many.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
 """
@@ -63,7 +63,7 @@ class GumBudget(Presented):
     ----------
     name : of the output.
     value, uncertainty : estimate f(x), and standard uncertainty of first order, correlations included.
-    second_order_value, second_order_uncertainty : with the terms of second order; None where they are no
+    second_order_value, second_order_uncertainty : with the terms of second order; None if they are no
         correction, because their series does not converge.
     degrees_of_freedom : ν_eff.
     probability, coverage_factor, expanded_uncertainty : p, k from ν_eff, and U = k u of first order.
@@ -236,7 +236,7 @@ def _check(equation: BoundEquation, probability: float) -> None:
 
 
 def _check_elements(equation: BoundEquation) -> None:
-    """Raise InputError where an output depends on the other values that are evaluated with it."""
+    """Raise InputError if an output depends on the other values that are evaluated with it."""
     x, u = (np.array([getattr(each, part) for each in equation.inputs]) for part in ("value", "uncertainty"))
     points = x + np.outer([0.0, _STEP, -2 * _STEP, 3 * _STEP], u)
     with np.errstate(all="ignore"):

@@ -54,15 +54,15 @@ class OutputQuantity:
 
 @dataclass(frozen=True, repr=False)
 class Propagated(Presented):
-    """What `propagate` found.
+    """Result of `propagate`.
 
     Attributes
     ----------
     outputs : of the equation, in its order.
     draws : shape (S, K), of the K outputs.
     probability : of the coverage intervals.
-    stable : whether the draws are as many as the digits ask for; False where the most draws were reached, or
-        where those that an input is given by are too few.
+    stable : whether the number of draws suffices for the digits; False if the largest number was reached, or if an
+        input is given by too few draws.
     effective : number of draws, or of those of the input that is given by the fewest.
 
     Examples
@@ -81,7 +81,7 @@ class Propagated(Presented):
     effective: int
 
     def __getitem__(self, name: str) -> OutputQuantity:
-        """Return an output by name; raises InputError where there is none of it."""
+        """Return an output by name; raises InputError if there is none of it."""
         found = next((each for each in self.outputs if each.name == name), None)
         if found is None:
             allowed = closest_first(name, [each.name for each in self.outputs])
@@ -172,8 +172,8 @@ def propagate(
     Raises
     ------
     InputError
-        for inputs that the equation does not take, repeated names, correlations that are none, and an equation that
-        returns something else; and for an input of two degrees of freedom or fewer, whose distribution has no standard
+        for inputs that the equation does not take, repeated names, invalid correlations, and an equation that returns
+        something else; and for an input of two degrees of freedom or fewer, whose distribution has no standard
         deviation (JCGM 101, 6.4.9.4): `budget` takes it.
 
     Examples
@@ -233,7 +233,7 @@ def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:
 
 
 def _deviation(draws: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of draws (M, …) of each output; 0 where they are the same, without rounding."""
+    """Return the standard deviation of draws (M, …) of each output; 0 if they are the same, without rounding."""
     return np.asarray((draws - draws[0]).std(axis=0, ddof=1))
 
 

@@ -51,9 +51,9 @@ class CalibratedInputs:
         row: with the white noise of its samples.  In the input unit of the channel, named in the column.
     beyond : temperature, or kind of channel → rows outside its range in the runs that were fitted.
     ranges : temperature → calibrated range, °C; kind of channel → range of inputs, rad/s or m/s².
-    left_in : effects that are not taken out; what they may do is in both uncertainties.
-    exact : what the model takes as exact of site and equipment; it is in both uncertainties nevertheless.
-    incomplete : rows with an empty cell, for want of an output, a temperature or a number of samples.
+    left_in : effects that are not corrected; both uncertainties include their possible size.
+    exact : uncertainties of site and equipment that the model takes as exact; both uncertainties include them.
+    incomplete : number of rows without a result, because an output, a temperature or a number of samples is missing.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def inputs_along_axes(
     Raises
     ------
     InputError
-        where there are no posterior draws, or columns are missing or not numeric.
+        if there are no posterior draws, or columns are missing or not numeric.
     """
     correction.check_stated(temperatures or {})
     fit = result.fit
@@ -167,7 +167,7 @@ def read_readings(file: Path) -> pl.DataFrame:
     Raises
     ------
     InputError
-        where the file is missing or no such table.
+        if the file is missing or no such table.
     """
     try:
         if file.suffix != ".parquet":
@@ -234,7 +234,7 @@ def _draws(result: Result, channels: Sequence[Channel]) -> tuple[np.ndarray, tup
     Raises
     ------
     InputError
-        where the fit did not converge, so that there are none.
+        if the fit did not converge, so that there are none.
     """
     layout = result.fit.model.layout
     found = thinned(complete(draws_of(result.posterior, layout.names)), _MOST_DRAWS)

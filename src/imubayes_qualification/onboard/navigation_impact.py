@@ -119,10 +119,10 @@ class NavigationImpact(Record):
     ----------
     errors : from the beginning to the end of the mission.
     sources : each alone, largest horizontal error first.  Constants are correlated: their squares need not add up.
-    not_in : what the constants do not express, and is not in the errors.
-    diagnosed : whether a diagnosis told which effects the runs could not show.
+    not_in : effects that the constants do not express; the errors do not include them.
+    diagnosed : whether a diagnosis of the result lists the effects that the runs could not show.
     not_shown : these effects, largest horizontal error first; none is in the errors.
-    not_propagated : those of them of which nothing is known for this mission.
+    not_propagated : effects that the runs could not show and whose errors cannot be computed for this mission.
 
     Examples
     --------
@@ -163,7 +163,7 @@ def read_mission(file: Path) -> Mission:
     Raises
     ------
     InputError
-        where the file is missing, lacks a column, or has values that are no numbers or times that do not increase.
+        if the file is missing, lacks a column, or has values that are no numbers or times that do not increase.
     """
     remedy = "a CSV file with the columns " + ", ".join(COLUMNS)
     try:
@@ -357,10 +357,10 @@ def navigation_impact(
     Parameters
     ----------
     name : of the mission, for the record.
-    temperature : of sensors and converter, °C; the reference temperature of the constants where None.
+    temperature : of sensors and converter, °C; the reference temperature of the constants if None.
     rate_hz : of the samples, by which their noise is a random walk; without it noise is left out and named.
     aided_height : whether height and vertical velocity are known from elsewhere.
-    hidden : effects that the runs could not show, along this mission; None where there is no diagnosis.
+    hidden : effects that the runs could not show, along this mission; None if there is no diagnosis.
 
     Raises
     ------

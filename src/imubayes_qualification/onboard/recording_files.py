@@ -50,7 +50,7 @@ class UnitRecording:
 
 @dataclass(frozen=True)
 class CorrectedRecording:
-    """What was made of a recording.
+    """Summary of a corrected recording.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class CorrectedRecording:
     slow_noise : noise that changes within a recording and is in neither uncertainty.
     uncorrected : effects of the model that are left in, with the size that they may have.
     lacking : channels of the unit that the recording lacks.
-    exact : what the model takes as exact of site and equipment; the systematic uncertainty contains it nevertheless.
+    exact : uncertainties of site and equipment that the model takes as exact; the systematic uncertainty includes them.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def open_recording(
     Raises
     ------
     InputError
-        where it cannot be read, has no such run, or is of another unit.
+        if it cannot be read, has no such run, or is of another unit.
     """
     check_stated(stated or {})
     if path.is_dir() or path.suffix == ".toml":
@@ -143,7 +143,7 @@ def _constant(run: Run) -> dict[str, float]:
 
 
 def _refuse_other_unit(campaign: Campaign, path: Path, channels: Sequence[Channel]) -> None:
-    """Raise InputError where a channel of the campaign has another nominal scale, offset or axis than in the fit."""
+    """Raise InputError if a channel of the campaign has another nominal scale, offset or axis than in the fit."""
     own = {channel.name: channel for channel in campaign.channels}
     issues = []
     for channel in channels:
@@ -176,7 +176,7 @@ def correct_recording(
     Raises
     ------
     InputError
-        where the fit did not converge, or the recording lacks channels or a temperature that the model depends on.
+        if the fit did not converge, or the recording lacks channels or a temperature that the model depends on.
     """
     tell("estimating the effects that are not corrected")
     correction = correction_of(result, recording.header, recording.where)

@@ -24,8 +24,8 @@ class Captured:
     Attributes
     ----------
     folder : of the campaign.
-    last : how it ended: done, or what was open still.
-    wanted : what was asked for, as far as the channels tell it.
+    last : last guidance: done, or the quantities that were still open.
+    wanted : requested uncertainties of the quantities that the channels can determine.
 
     Examples
     --------

@@ -27,13 +27,13 @@ _UNITS_OF_INPUT = get_args(ChannelEntry.model_fields["per"].annotation)
 
 @dataclass(frozen=True)
 class NewCampaign:
-    """What was written.
+    """A campaign and a model that `new` wrote.
 
     Attributes
     ----------
     folder, model : the campaign folder, and the model file in it.
     proposal : the effects of the model, and why others are not in it.
-    notes : what was taken from the recording, and what was guessed, with its evidence.
+    notes : facts taken from the recording, and guesses with their evidence.
     to_state : number of values of the campaign that no option states; it is refused until they are.
 
     Examples

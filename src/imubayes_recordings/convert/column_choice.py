@@ -177,10 +177,10 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
         listed.append(f"{described(table.topic)}: {', '.join(names[:16])}{', …' if len(names) > 16 else ''}")
     why = f"; {faults[0].what}" if faults else ""
     return Issue(
-        f"no columns are named as those of accelerometers or gyros{why}",
+        f"no column has a name of an accelerometer or gyro{why}",
         ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
-        "; ".join(listed),
-        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax ay az, gx gy gz)",
+        f"time_s, ax, ay, az, gx, gy, gz and similar names; found in {'; '.join(listed)}",
+        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax, ay, az, gx, gy, gz)",
     )
 
 

@@ -22,6 +22,7 @@ from imubayes.campaign.reduction.static_poses import (
 )
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.units import to_si
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.stated_motion import counts_of_table
@@ -100,7 +101,7 @@ def estimate_accelerometers(means: np.ndarray, gravity: float, where: str) -> No
             half = np.sqrt((1 + np.sum(square * middle**2)) / square)
             return Nominal(half * size / gravity, centre + size * middle)
     raise input_error(
-        f"the accelerometer scale cannot be estimated from {len(means)} static poses",
+        f"the accelerometer scale cannot be estimated from {counted(len(means), 'static pose')}",
         where,
         f"{LEAST_POSES} or more poses, each axis up and down, or accel_scale and accel_offset",
         "give those of the datasheet: --accel-scale and --accel-offset",

@@ -198,13 +198,13 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, options: ConvertOpt
     if accel == "m/s^2" and not turned:
         if size < _LARGEST_BIAS["rad/s"]:
             return "rad/s", (
-                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s is usual then; without "
-                "turns it is not tested; if it is deg/s, state --gyro-unit deg/s"
+                f"{size:.3g} at rest; with accelerometers in m/s^2, gyros are usually in rad/s. Without turns this "
+                "is not tested: if the unit is deg/s, state --gyro-unit deg/s"
             )
         if size < _LARGEST_BIAS["deg/s"]:
             return "deg/s", (
-                f"{size:.3g} at rest is too large for a bias in rad/s; without turns the unit is not "
-                f"tested; if it is another one, state --gyro-unit"
+                f"{size:.3g} at rest is too large for a bias in rad/s. Without turns this is not tested: if the unit "
+                "is another one, state --gyro-unit"
             )
     told = "no usual one fits" if stated else _not_told(accel)
     raise input_error(

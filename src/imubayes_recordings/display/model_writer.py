@@ -154,8 +154,8 @@ def _left_out(proposal: EffectProposal) -> Iterator[str]:
         yield ""
         yield "# These runs show the following effects, but do not determine them beside those above:"
         for name, share in proposal.undetermined.items():
-            most = percent(share)
-            yield f"#   {name}: the runs supply at most {most} of the information on its best-known coefficient"
+            most = f"at most {percent(share)}" if share >= 0.01 else "less than 1 %"
+            yield f"#   {name}: {most} of the information on each coefficient comes from the runs"
     if proposal.missing:
         yield ""
         yield "# Effects that no run shows, and the input that each needs:"

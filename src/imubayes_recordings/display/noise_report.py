@@ -163,7 +163,7 @@ def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
 _CAUSES = {
     Cause.CONVERGENCE: "the estimate did not converge. Give a part of the record without disturbances.",
     Cause.UNDESCRIBED: "the noise terms do not describe the spectrum. Give a part of the record without disturbances.",
-    Cause.FILTER: "a filter shapes the frequencies that would determine it. Give a log without it, or a longer record.",
+    Cause.FILTER: "a filter shapes the frequencies that determine it. Give an unfiltered log, or a longer record.",
     Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
     Cause.CHANGE: "low frequencies hold the change. Give a settled part of the record.",
     Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
@@ -273,17 +273,17 @@ def noise_report(noise: StaticNoise) -> Report:
     """Return the terms of every channel, and what to know about them."""
     percent = f"{100 * noise.probability:.0f} %"
     sheets = [_sheet(channel, percent) for channel in noise.channels]
-    lines = [f"{each.channel} in {each.run} is {_REASONS[each.reason]}: left out." for each in noise.left_out]
+    lines = [f"{each.channel} in run '{each.run}' is {_REASONS[each.reason]}: left out." for each in noise.left_out]
     lines += [
-        f"{channel.channel} in {channel.run}: {told}" for channel in noise.channels for told in _warnings(channel)
+        f"{channel.channel} in run '{channel.run}': {told}" for channel in noise.channels for told in _warnings(channel)
     ]
     closing = (
         f"Intervals are {percent} profile-likelihood intervals (for a ramp, posterior intervals). Upper limits are "
         f"one-sided {percent} limits (for a ramp, the farther end of its interval). A term is determined if the record "
         "needs it in addition to all others. Of records without a term, 1 to 2 % show as much evidence for it. "
         "As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
-        "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "
-        "the record looks the same.",
+        "of its Allan deviation is 0.664 B) and K a random walk. Gauss–Markov noise with a correlation time longer "
+        "than the record cannot be distinguished from a random walk.",
     )
     return Report(lines, sheets, closing)
 
@@ -295,7 +295,7 @@ def _name(term: NoiseTerm, kind: str) -> str:
 def _sheet(noise: ChannelNoise, percent: str) -> Sheet:
     missing = f", {noise.missing} missing" if noise.missing else ""
     hours = (noise.samples + noise.missing) * noise.interval_s / 3600
-    title = f"{noise.channel} in {noise.run}: {noise.samples} samples over {hours:.3g} h{missing}"
+    title = f"{noise.channel} in run '{noise.run}': {noise.samples} samples over {hours:.3g} h{missing}"
     head = ("noise term", "estimate", "sd", f"{percent} interval", "unit")
     rows = [_row(term, noise.kind) for term in noise.terms]
     if noise.correlation_time_s is not None and noise.of(NoiseTerm.MARKOV).determined:

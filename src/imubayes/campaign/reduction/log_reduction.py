@@ -32,6 +32,7 @@ from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
 from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
 from imubayes.foundations.covariates import recorded_columns
+from imubayes.foundations.wording import counted
 from imubayes.procedures import Reduction
 
 Limits = Mapping[str, tuple[float, ...]]
@@ -274,7 +275,7 @@ def _account(rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dro
     }
     left = ", ".join(f"{number} {cause}" for cause, number in causes.items() if number > 0)
     notes = [
-        f"{used} of {rows} raw rows kept in {len(reduced)} means {how} ({', '.join(means) or 'none'})"
+        f"{used} of {rows} raw rows kept in {counted(len(reduced), 'mean')} {how} ({', '.join(means) or 'none'})"
         + (f"; left out: {left}" if left else "")
     ]
     if holes:

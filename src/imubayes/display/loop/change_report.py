@@ -14,7 +14,7 @@ from imubayes.display.fit_cautions import conflict_line, set_aside_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
-from imubayes.display.loop.history import offsets_moved_text
+from imubayes.display.loop.history import elpd_text, offsets_moved_text
 from imubayes.foundations.wording import counted
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
@@ -26,6 +26,8 @@ LEAST_PERCENT = 5
 _MOST_ROWS = 6
 # An estimate that moved by less than a tenth of its standard uncertainty stayed where it was.
 _STAYED = 0.1
+# A smaller Δχ² is the rounding of the arithmetic.
+_NO_DROP = 1e-6
 
 
 def change_sheets(change: ModelChange) -> list[Sheet]:
@@ -49,7 +51,7 @@ def moved_sheet(change: ModelChange) -> Sheet:
         if abs(each.in_sd) >= _STAYED:
             pairs = ((each.before, each.sd_before), (each.after, each.sd_after))
             before, after = (" ± ".join(numbers.value_and_sd(*pair)) for pair in pairs)
-            moved = numbers.significant(each.in_sd, 2).replace("-", "−")
+            moved = numbers.with_minus(numbers.significant(each.in_sd, 2))
             rows.append(cells(each.name, before, after, numbers.pretty(each.unit), moved))
     note = "Change: in units of the smaller of the standard uncertainties before and after." if rows else ""
     head = ("estimate", "before", "after", "unit", "change / sd")
@@ -89,7 +91,7 @@ def coefficient_sheet(change: ModelChange) -> Sheet:
 def channel_sheet(change: ModelChange) -> Sheet:
     """Return the table of the residual rms before and after, per channel."""
     rows = [cells(each.channel, *_change_cells(each)) for each in change.channels]
-    note = "At the noise known beforehand, offsets of runs included." if rows else ""
+    note = "The rms values are at the noise known beforehand and include the offsets of runs." if rows else ""
     head = ("channel", "before", "after", "unit", "change")
     return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3), note=note)
 
@@ -129,7 +131,7 @@ def _rose(change: RmsChange | RunRmsChange) -> bool:
 def share(change: RmsChange | RunRmsChange) -> str:
     """Return a change in per cent."""
     ratio = ratio_of(change)
-    return "–" if ratio is None else f"{100 * (ratio - 1):+.0f} %".replace("-", "−")
+    return "–" if ratio is None else numbers.with_minus(f"{100 * (ratio - 1):+.0f} %")
 
 
 _MOST_CHANGES = 3
@@ -213,10 +215,7 @@ def _what_it_brought(change: ModelChange) -> Iterator[str]:
         yield "The readings differ: χ² and predictions are not compared."
     else:
         noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
-        predicted, observed = (
-            numbers.significant(each).replace("-", "−")
-            for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
-        )
+        predicted, observed = map(_drop_text, (change.predicted.delta_chi2, change.observed.delta_chi2))
         yield f"Δχ²{noise}: predicted {predicted}, observed {observed}."
         if change.offsets_moved and change.added:
             yield offsets_moved_text(change.offsets_moved)
@@ -228,11 +227,16 @@ def _what_it_brought(change: ModelChange) -> Iterator[str]:
     yield from (_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished)
 
 
+def _drop_text(drop: float | None) -> str:
+    """Return Δχ²; 0 if only the rounding of the arithmetic changed it."""
+    return numbers.with_minus(numbers.significant(0.0 if drop is not None and abs(drop) < _NO_DROP else drop))
+
+
 def _undistinguished_line(found: NotDistinguished, folder: str) -> str:
     """Return that the data do not distinguish effects, and the command that keeps the first alone."""
     first, *others = found.effects
     names = f"{', '.join([first, *others[:-1]])} and {others[-1]}"
-    size = f"{found.correlation:.2f}".replace("-", "−")
+    size = numbers.with_minus(f"{found.correlation:.2f}")
     of = "correlation" if len(others) == 1 else "correlation of each with the others together"
     command = numbers.command_line("remove", *others, "--from", folder, "--out", f"{folder}-{first}")
     return f"Not distinguished: {names}, {of} {size}; `{command}` keeps {first} alone."
@@ -244,9 +248,8 @@ def held_out_lines(held_out: CrossValidation | None, step: str = "addition") -> 
         return ["No cross-validation."]
     doubt = "addition improves" if step == "addition" else "removal worsens"
     verdict = _VERDICTS[held_out.verdict].format(by=held_out.by, step=doubt)
-    gain = f"{held_out.delta:+.1f}".replace("-", "−")
     lines = [
-        f"Leave-one-{held_out.by}-out: Δ elpd {gain} ± {numbers.significant(held_out.se, 2)}, better in "
+        f"Leave-one-{held_out.by}-out: Δ elpd {elpd_text(held_out)}, better in "
         f"{held_out.helped} of {held_out.of} {held_out.by}s: {verdict}."
     ]
     if held_out.rates:

@@ -252,7 +252,7 @@ def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
     lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
     each = [counted(len(lines), name) for name, lines in lists.items() if lines]
-    return [f"All tables: {', '.join(each)}: {command_line('diagnose', found.result, '--verbose')}"] if each else []
+    return [f"All tables ({', '.join(each)}): {command_line('diagnose', found.result, '--verbose')}"] if each else []
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:

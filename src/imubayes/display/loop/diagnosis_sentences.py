@@ -21,6 +21,7 @@ from imubayes.criticism.explanation_records import (
 )
 from imubayes.display.fit_cautions import agreement_text, contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
+from imubayes.foundations.wording import counted
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
@@ -199,7 +200,7 @@ def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
         worst, rest = max(apart, key=lambda each: abs(math.log(each.ratio))), len(apart) - 1
         yield f"The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)})."
         if rest:
-            yield f"It also differs in {rest} other {'channel' if rest == 1 else 'channels'}."
+            yield f"The fitted noise of {counted(rest, 'other channel')} also differs from the known noise."
     disagreeing = {(each.run, each.row) for each in found.disagreeing}
     outliers = [each for each in found.outliers if (each.run, each.row) not in disagreeing]
     if outliers:

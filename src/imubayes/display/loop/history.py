@@ -9,7 +9,7 @@ from typing import Any
 
 from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.layout import Cell, Report, Sheet, cells
-from imubayes.loop.model_history import Node, Tree, rms_by_unit
+from imubayes.loop.model_history import CrossValidation, Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
 from imubayes.results.summary import FitProvenance
 
@@ -71,8 +71,7 @@ def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
     found = node.held_out
     gain = row[-2].text
     if found is not None:
-        value, sd = numbers.value_and_sd(found.delta, found.se)
-        gain = f"{'+' if found.delta > 0 else ''}{value} ± {sd}"
+        gain = elpd_text(found)
     return (row[0], row[2], *row[3:-2], Cell(gain, row[-2].mood))
 
 
@@ -101,8 +100,14 @@ def gain_text(node: Node) -> str:
     found = node.held_out
     if found is None:
         return "–" if node.taken else "not taken"
-    text = f"{found.delta:+.1f} ± {numbers.significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
+    text = f"{elpd_text(found)} ({found.helped}/{found.of} {found.by}s)"
     return text + {"not": " no gain", "unclear": " unclear", "spares": " no loss"}.get(found.verdict, "")
+
+
+def elpd_text(held_out: CrossValidation) -> str:
+    """Return Δ elpd with its standard error, to the digits that this supports: +303 ± 88."""
+    gain, error = numbers.value_and_sd(held_out.delta, held_out.se)
+    return numbers.with_minus(f"{'' if gain.startswith('-') else '+'}{gain} ± {error}")
 
 
 def offsets_moved_text(channels: Sequence[str]) -> str:

@@ -23,6 +23,7 @@ from imubayes.display.numbers_and_labels import (
     rounded,
     significant,
     value_and_sd,
+    with_minus,
 )
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
@@ -136,7 +137,7 @@ def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
 def _shift_row(each: ShiftedEstimate):
     value, sd = value_and_sd(each.before, each.sd)
     shift, _ = value_and_sd(each.shift, each.sd)
-    pull = f"{each.pull:.1f}".replace("-", "−")
+    pull = with_minus(f"{each.pull:.1f}")
     chance = relation(each.p).removeprefix("= ")
     return cells(each.name, f"{value} ± {sd}", shift, pretty(each.unit), pull, chance)
 
@@ -289,6 +290,6 @@ def _row(each: ComparedQuantity, pooled: bool) -> tuple[Cell, ...]:
         (each.first, each.first_sd), (each.second, each.second_sd)
     ))  # fmt: skip
     apart, width = rounded((each.difference, 2 * each.difference_sd), each.difference_sd)
-    e_n = Cell(f"{each.e_n:.2f}".replace("-", "−"), "bad" if each.moved else "weak" if abs(each.e_n) > 1 else "")
+    e_n = Cell(with_minus(f"{each.e_n:.2f}"), "bad" if each.moved else "weak" if abs(each.e_n) > 1 else "")
     both = [" ± ".join(value_and_sd(each.pooled, each.pooled_sd))] if pooled else []
     return cells(each.name, first, second, apart, width, e_n, *both, pretty(each.unit))

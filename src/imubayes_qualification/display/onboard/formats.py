@@ -21,6 +21,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imubayes.display.fit_cautions import exact_text
+from imubayes.display.numbers_and_labels import value_and_sd
 from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.files import write_text
 from imubayes.foundations.units import BIAS_CONVENTION
@@ -55,8 +56,8 @@ class ExportOptions:
 
 
 _WORDS = {
-    "misalignment": "misalignment of the {triad}s: there is no matrix",
-    "scale_factor": "scale factor errors of the {triad}s: there is no scale",
+    "misalignment": "misalignment of the {triad}s (it has no matrix)",
+    "scale_factor": "scale factor errors of the {triad}s (it has no scale factor)",
     "g_sensitivity": "g-sensitivity of the {triad}s",
     "gain_temperature": "temperature dependence of the {triad}s' gain",
     "bias_order": "terms of the {triad}s' bias beyond the third order in temperature",
@@ -68,7 +69,8 @@ _WORDS = {
 def in_words(loss: Loss) -> str:
     """Return one loss: what it is and how large."""
     what = _WORDS[loss.kind].format(triad=loss.triad, effect=loss.effect)
-    return f"{what}; up to {loss.size:.3g} ± {loss.sd:.2g} {loss.unit}"
+    size, sd = value_and_sd(loss.size, loss.sd)
+    return f"{what}: up to {size} ± {sd} {loss.unit}"
 
 
 def _refuse_losses(found: Sequence[Loss], program: str, where: str) -> None:

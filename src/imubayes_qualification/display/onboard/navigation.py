@@ -63,9 +63,8 @@ def _not_shown(found: NavigationImpact) -> Iterator[Sheet]:
     ]  # fmt: skip
     if rows:
         head = ("effect", "largest size", "horizontal / m", "attitude / arcmin")
-        yield Sheet(
-            "At the end, each effect that the runs could not show", head, rows, note=f"{_SIZE} Not in the errors above."
-        )
+        note = f"{_SIZE} The errors above do not include them."
+        yield Sheet("At the end, each effect that the runs could not show", head, rows, note=note)
 
 
 def _not_propagated(found: NavigationImpact) -> Iterator[str]:
@@ -75,11 +74,11 @@ def _not_propagated(found: NavigationImpact) -> Iterator[str]:
     left = []
     for needs in dict.fromkeys(each.needs for each in found.not_propagated):
         names = [each.effect for each in found.not_propagated if each.needs == needs]
-        why = f"by {' and '.join(needs)}" if needs else "memory, a limit, a shape, or a lever arm"
+        why = f"needs {' and '.join(needs)}" if needs else "memory, a limit, a shape, or a lever arm"
         stated = needs and all(need.endswith("temperature") for need in needs)
-        left.append(f"{listed(names)} ({why}{', which --temperature states' if stated else ''})")
+        left.append(f"{listed(names)} ({why}{', see --temperature' if stated else ''})")
     if left:
-        yield f"Not shown by the runs and not propagated: {'; '.join(left)}."
+        yield f"Not shown by the runs and not propagated, with the reason: {'; '.join(left)}."
 
 
 @style.themed

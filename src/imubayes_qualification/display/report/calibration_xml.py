@@ -25,12 +25,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from imubayes.display.fit_quality_tables import members_text
-from imubayes.display.numbers_and_labels import pretty, ratio_text
+from imubayes.display.numbers_and_labels import pretty, ratio_text, with_minus
 from imubayes.foundations.errors import Issue, refuse
 from imubayes_qualification.certificate.certificate import Certificate, Party
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.certificate_pages import all_statements
-from imubayes_qualification.display.report.document import with_minus
 from imubayes_qualification.display.report.exact_tables import CONVERTER, omissions, omitted_beside, omitted_factor
 from imubayes_qualification.display.report.words import Stated, limits_text, value_text
 from imubayes_qualification.evaluation.coverage import COVERAGE_PROBABILITY, IntervalShape, equivalent_degrees

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from imubayes.display.figure_style import HUES, INK, STYLE, FewTicks
 from imubayes.display.layout import Sheet, of_columns
+from imubayes.display.numbers_and_labels import with_minus
 
 Mood = Literal["", "good", "weak", "bad", "dim"]
 # Width of a picture that stands beside another, at most; inches.
@@ -129,17 +130,6 @@ class ReportDocument:
     blocks: Sequence[Block] = field(default=())
     footer: str = ""
     author: str = "imubayes"
-
-
-# A hyphen before a number, but within a name, a date, or the prior of a model file; and that of an exponent.
-_HYPHEN = re.compile(r"(?<![\w\-.,])(?<!\w[\[(])-(?=\.?\d)|(?<=\de)-(?=\d)")
-_CODE = re.compile(r"(`[^`]+`)")
-
-
-def with_minus(text: str) -> str:
-    """Return a text whose negative numbers have a minus sign (ISO 80000-1); commands and names stay as they are."""
-    parts = _CODE.split(text)
-    return "".join(part if place % 2 else _HYPHEN.sub("−", part) for place, part in enumerate(parts))
 
 
 def typeset(document: ReportDocument) -> ReportDocument:

@@ -16,9 +16,7 @@ def banner(report: record.QualificationReport) -> Banner:
     """Return the outcome in words and colour."""
     found, approximate = report.conformity, _approximate(report.convergence)
     if found is None:
-        sentence = (
-            "No specification was given: this report states estimates with their uncertainty and decides nothing."
-        )
+        sentence = "This report states estimates with their uncertainty and contains no decision."
         return Banner("NO SPECIFICATION", sentence + approximate, "")
     word, mood = words.OUTCOMES[found.outcome]
     return Banner(word, _sentence(found) + approximate, mood)
@@ -29,8 +27,8 @@ def _approximate(convergence: record.ReportedConvergence) -> str:
     if convergence.sampled or not convergence.converged:
         return ""
     return (
-        " The posterior was not sampled: every number and decision is of its Laplace approximation, which sampling "
-        "(`imubayes fit` without `--no-sample`) would confirm."
+        " The posterior was not sampled: all numbers and decisions are based on its Laplace approximation. Confirm "
+        "them by sampling (`imubayes fit` without `--no-sample`)."
     )
 
 

@@ -264,7 +264,8 @@ def places_held(files: Sequence[Path]) -> Iterator[None]:
 def _check_places(files: Sequence[Path]) -> None:
     refuse(
         Issue(
-            f"'{file.name}' has no ending of a report", "option --out", closest_first(file.suffix, _WRITERS),
+            f"the extension of '{file.name}' is not that of a report", "option --out",
+            closest_first(file.suffix, _WRITERS),
             "choose one of these",
         )
         for file in files if file.suffix.lower() not in _WRITERS

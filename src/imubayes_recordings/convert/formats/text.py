@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.foundations.errors import InputError, input_error
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.formats.cell_values import VALUE, CellKind
 from imubayes_recordings.convert.formats.text_layout import (
     COMMENT_SIGN,
@@ -47,7 +48,8 @@ class TextRecording(SourceRecording):
         )
         where = f"{self.file}:{layout.heading or layout.first}"
         if layout.names and not fits:
-            note = f"{len(layout.names)} names stand above {len(layout.kinds)} data fields"
+            names, fields = len(layout.names), len(layout.kinds)
+            note = f"the header has {counted(names, 'name')}, the rows have {counted(fields, 'field')}"
         else:
             note = f"names in line {layout.heading}" if fits else "no names"
             note += f", numbers from line {layout.first}"
