@@ -37,7 +37,7 @@ demo: $(READY)
 archive-demo: $(READY)
 	$(BIN)/imubayes batch data/unit-archive --model models/accel-channel.toml --out results/unit-archive
 	$(BIN)/imubayes batch population results/unit-archive --picture results/unit-archive/population.png
-	$(BIN)/imubayes batch trends results/unit-archive --picture results/unit-archive/trends.png
+	$(BIN)/imubayes batch drift results/unit-archive --picture results/unit-archive/drift.png
 	$(BIN)/imubayes batch diagnose results/unit-archive --picture results/unit-archive/evidence.png
 
 # Types are checked beside the tests: pyright keeps only one core busy.

@@ -162,7 +162,7 @@ def test_the_sources_keep_the_rules():
         ({"imubayes.novelty": ""}, "stands on no floor"),
         ({"imubayes.api.fitting": "import imubayes_archive.unit_fits.run_batch"}, "is above it"),
         ({"imubayes_archive.unit_fits.run_batch": "import imubayes_explorer.start"}, "is above it"),
-        ({"imubayes_archive.unit_fits.run_batch": "import imubayes_archive.population.changes"}, "is above it"),
+        ({"imubayes_archive.unit_fits.run_batch": "import imubayes_archive.population.drift"}, "is above it"),
     ],
 )
 def test_a_planted_fault_is_found(sources, complaint):

@@ -1,4 +1,4 @@
-"""Comparison of models, trends, drifts and the prior of the next unit, from tables whose truth is known."""
+"""Comparison of models, drift and the prior of the next unit, from tables whose truth is known."""
 
 import datetime
 
@@ -8,8 +8,8 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.model.model_file import EffectSpec, ModelSpec, read_model
-from imubayes_archive.population.archive_covariates import serial_number
-from imubayes_archive.population.changes import compare_models, regression, trends
+from imubayes_archive.population.drift import drifts
+from imubayes_archive.population.model_comparison import compare_models
 from imubayes_archive.population.parameter_population import populations
 from imubayes_archive.population.population_priors import KnownPrior, next_unit_model, with_priors
 from imubayes_archive.unit_fits.posterior_table import (
@@ -81,20 +81,6 @@ def test_campaigns_of_one_batch_alone_are_counted():
     assert changes["unit"].n_unique() == 5
 
 
-def test_a_trend_over_dates_is_found_and_one_over_serials_is_not():
-    random, found = np.random.default_rng(4), []
-    for place in range(80):
-        day = DAY + datetime.timedelta(days=int(random.uniform(0, 1500)))
-        years = (day - DAY).days / 365.25
-        found.append(campaign(f"QA{100 + place}", day, {"a": (random.normal(5 + 2 * years, 1.5), 1.0),
-                                                         "b": (random.normal(5, 1.5), 1.0)}))  # fmt: skip
-    record, _ = trends(*tables(found))
-    told = {(each.parameter, each.over): each for each in record.trends}
-    assert [key for key, each in told.items() if each.significant] == [("a", "date")]
-    assert told["a", "date"].slope == pytest.approx(2.0, abs=3 * told["a", "date"].slope_sd)
-    assert len(told) == 4
-
-
 def test_drift_between_calibrations_of_a_unit_is_found_and_the_unit_named():
     random, found = np.random.default_rng(5), []
     for place in range(20):
@@ -102,20 +88,10 @@ def test_drift_between_calibrations_of_a_unit_is_found_and_the_unit_named():
         for year in (2022, 2024):
             value = random.normal(0, 1) + drift * (year - 2022)
             found.append(campaign(f"U{place}", datetime.date(year, 1, 1), {"a": (value, 1.0)}))
-    record, changes = trends(*tables(found))
-    (drift,) = record.drifts
+    record, changes = drifts(*tables(found))
+    (drift,) = record.parameters
     assert (drift.pairs, drift.significant, drift.units) == (20, 1, ("U3",))
     assert changes.filter("significant")["years"].to_list() == pytest.approx([2.0], abs=0.01)
-
-
-def test_the_slope_is_that_of_generalised_least_squares():
-    random = np.random.default_rng(6)
-    place, variance = random.uniform(0, 10, 400), random.uniform(0.5, 2.0, 400)
-    estimate = 3 + 0.5 * place + random.normal(0, np.sqrt(variance + 4))
-    slope, deviation = regression(estimate, variance, place)
-    assert slope == pytest.approx(0.5, abs=3 * deviation)
-    assert deviation == pytest.approx(np.sqrt(5.2 / 400) / np.std(place), rel=0.1)
-    assert (serial_number("QA-0117b"), serial_number("none")) == (117.0, None)
 
 
 def test_the_model_of_the_next_unit_has_the_population_as_its_prior():

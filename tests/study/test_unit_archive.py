@@ -76,7 +76,7 @@ def test_commands_answer_and_draw(batch, tmp_path, capsys):
     results, _ = batch
     assert run(["batch", "population", str(results), "--picture", str(tmp_path / "p.png")]) == 0
     assert run(["batch", "prior", str(results), "--out", str(tmp_path / "next.toml")]) == 0
-    assert run(["batch", "trends", str(results), "--picture", str(tmp_path / "t.png")]) == 0
+    assert run(["batch", "drift", str(results), "--picture", str(tmp_path / "t.png")]) == 0
     assert run(["batch", "compare", str(results), str(results), "--picture", str(tmp_path / "c.png")]) == 0
     assert run(["batch", "diagnose", str(results), "--picture", str(tmp_path / "e.png")]) == 0
     assert all((tmp_path / f"{name}.png").stat().st_size > 10_000 for name in "ptce")

@@ -12,7 +12,7 @@ expanded uncertainty, k = 2 (ISO/IEC 17043).  Both as one have the precision Λ_
 
 By the drift between both a quantity may leave its limits: then the next calibration is due.  Two calibrations fix a
 straight line and cannot test it: the interval is stated with that reservation, and for ten times the time between them
-at most.  A drift of several calibrations is one of `batch trends`.
+at most.  A drift of several calibrations is one of `batch drift`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

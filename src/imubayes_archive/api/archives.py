@@ -13,7 +13,7 @@ from imubayes.model.model_file import ModelSpec
 from imubayes.results.result_folder import write_model
 from imubayes_archive.dataset.store import pack_campaigns
 from imubayes_archive.display.batch_report import progress_text
-from imubayes_archive.population.changes import Trends, trends
+from imubayes_archive.population.drift import Drifts, drifts
 from imubayes_archive.population.hierarchical_fit import HierarchicalFit, hierarchical_fit
 from imubayes_archive.population.parameter_population import Populations, populations
 from imubayes_archive.population.units_in_doubt import UnitInDoubt, units_in_doubt
@@ -76,9 +76,9 @@ class BatchResult:
         """Return the units that need a person: without estimates, with doubtful noise, or unlike the others."""
         return units_in_doubt(self.units, populations(self.parameters, self.units)[0])
 
-    def trends(self) -> Trends:
-        """Return trends over dates and serial numbers, and drifts between calibrations of one unit."""
-        return trends(self.parameters, self.units)[0]
+    def drift(self) -> Drifts:
+        """Return the drift between calibrations of one unit; trends over units are structures of `population`."""
+        return drifts(self.parameters, self.units)[0]
 
     def diagnose(self, progress: Callable[[str], None] | None = None) -> PooledDiscovery:
         """Return the effects that the model lacks, with the evidence of all units added up.

@@ -1,7 +1,7 @@
 """Commands `imubayes batch` and `imubayes archive`: a campaign archive, its batch fit, and questions asked of a batch.
 
 `imubayes batch` fits every campaign of an archive with one model.  Its subcommands
-`population|prior|diagnose|compare|trends` ask questions of all units of a batch.  `imubayes archive` keeps campaign
+`population|prior|diagnose|compare|drift` ask questions of all units of a batch.  `imubayes archive` keeps campaign
 folders as one Parquet dataset.
 """
 
@@ -293,7 +293,7 @@ def compare(
         Print one JSON object on standard output.
     """
     from imubayes_archive.display.batch_report import comparison_report
-    from imubayes_archive.population.changes import compare_models
+    from imubayes_archive.population.model_comparison import compare_models
 
     found, changes = compare_models(_tables(old, None), _tables(new, None))
     _write(changes, out)
@@ -305,7 +305,7 @@ def compare(
 
 
 @batch.command
-def trends(
+def drift(
     results: Path,
     *,
     out: Path | None = None,
@@ -313,9 +313,9 @@ def trends(
     model_hash: str | None = None,
     as_json: Json = False,
 ) -> None:
-    """Show trends over dates and serial numbers, and drift between calibrations of one unit.
+    """Show the drift between calibrations of one unit. For trends over units: `batch population`.
 
-    Example: imubayes batch trends results/batch --out drifts.parquet
+    Example: imubayes batch drift results/batch --out drifts.parquet
 
     Parameters
     ----------
@@ -324,25 +324,24 @@ def trends(
     out
         Parquet file to write: every change between two calibrations of a unit.
     picture
-        PNG file to write: estimates over dates of the parameters with the clearest trends and drifts.
+        PNG file to write: estimates over dates of the parameters with the clearest drift.
     model_hash
         Model, if the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes_archive.display.batch_report import trends_report
-    from imubayes_archive.population.changes import dated_estimates
-    from imubayes_archive.population.changes import trends as trends_of
+    from imubayes_archive.display.batch_report import drift_report
+    from imubayes_archive.population.drift import dated_estimates, drifts
 
     tables = _tables(results, model_hash)
-    found, changes = trends_of(*tables)
+    found, changes = drifts(*tables)
     _write(changes, out)
     if picture is not None:
-        from imubayes_archive.display.figures.batch import trend_picture
+        from imubayes_archive.display.figures.batch import drift_picture
 
-        names = dict.fromkeys(each.parameter for each in (*found.drifts[:3], *found.trends))
-        trend_picture(dated_estimates(*tables), list(names)).save(picture)
-    show(lambda: found, lambda: trends_report(found), as_json)
+        names = [each.parameter for each in found.parameters]
+        drift_picture(dated_estimates(*tables), names).save(picture)
+    show(lambda: found, lambda: drift_report(found), as_json)
 
 
 archive = cyclopts.App(

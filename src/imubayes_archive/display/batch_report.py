@@ -1,11 +1,11 @@
 """Reports of a batch: progress and results, answers to the questions asked of it, and what its units show together.
 
 The progress states how far a batch is, what is in the results folder, and which units have no estimates.  The answers
-concern populations, priors, comparisons and trends.  What the units show together are findings, the units for and
+concern populations, priors, comparisons and drift.  What the units show together are findings, the units for and
 against them, and other candidates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,15 @@ from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import chance_text, concise, listed
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.wording import counted
-from imubayes_archive.population.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
+from imubayes_archive.population.drift import Drift, Drifts
+from imubayes_archive.population.model_comparison import ModelComparison, ParameterChange
 from imubayes_archive.population.population import LEAST_UNITS
 from imubayes_archive.population.units_in_doubt import UnitInDoubt
 from imubayes_archive.unit_fits.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes_archive.unit_fits.posterior_table import MODEL_FILE, model_folder
 from imubayes_archive.unit_fits.run_batch import BatchProgress
 
-# Trends and drifts that are not significant, shown beside those that are.
+# Parameters without significant drift, shown beside those with it.
 _MOST_OTHERS = 5
 
 
@@ -57,57 +58,31 @@ def _change_row(each: ParameterChange) -> Sequence[Cell]:
     )  # fmt: skip
 
 
-def trends_report(found: Trends) -> Report:
-    """Return trends over dates and serial numbers, and drifts between calibrations: the significant ones first."""
-    head = ("parameter", "slope", "unit", "per", "units", "p")
-    trends = Sheet(
-        _title("Trends", sum(each.significant for each in found.trends), len(found.trends)), head,
-        [_trend_row(each) for each in _leading(found.trends, lambda each: each.significant)], left=(0, 2, 3),
-    )  # fmt: skip
-    head = ("parameter", "per year", "unit", "pairs", "changed", "p", "in units")
-    changed = sum(each.significant > 0 for each in found.drifts)
-    drifts = Sheet(
-        _title("Drift between calibrations of a unit", changed, len(found.drifts)), head,
-        [_drift_row(each) for each in _leading(found.drifts, lambda each: each.significant > 0)], left=(0, 2, 6),
-        note="changed: pairs of consecutive calibrations with a significant change",
+def drift_report(found: Drifts) -> Report:
+    """Return the drift between calibrations of one unit, the significant parameters first."""
+    changed = sum(each.significant > 0 for each in found.parameters)
+    others = [each for each in found.parameters if not each.significant]
+    left = len(others) - _MOST_OTHERS
+    title = "Drift between calibrations of a unit" + (
+        f" (the {left} least significant are in --json)" if left > 0 else ""
+    )
+    rows = [*filter(lambda each: each.significant, found.parameters), *others[:_MOST_OTHERS]]
+    sheet = Sheet(
+        title, ("parameter", "per year", "unit", "pairs", "changed", "p", "in units"), list(map(_drift_row, rows)),
+        left=(0, 2, 6), note="changed: pairs of consecutive calibrations with a significant change",
     )  # fmt: skip
     told = [
-        f"{counted(sum(each.significant for each in found.trends), 'significant trend')} of {len(found.trends)}, "
-        f"{counted(changed, 'drifting parameter')} of {len(found.drifts)}; false discovery rate {100 * found.rate:g} %"
+        f"{counted(changed, 'drifting parameter')} of {len(found.parameters)}; false discovery rate "
+        f"{100 * found.rate:g} %",
+        "Trends over the dates or serial numbers of different units: `imubayes batch population`.",
     ]
-    few = replace(of_columns(drifts, (0, 1, 2, 5)), note="")
-    told.append(
-        "`imubayes batch population` compares a trend with steps, groups of units and the entries of the campaigns."
-    )
-    return Report(told, [trends.with_few(0, 1, 2, 3, 5), replace(drifts, narrow=few)])
-
-
-def _title(words: str, significant_ones: int, count: int) -> str:
-    left = count - significant_ones - _MOST_OTHERS
-    return f"{words} (the {left} least significant are in --json)" if left > 0 else words
-
-
-def _leading[T: (Trend, Drift)](ordered: Sequence[T], holds: Callable[[T], bool]) -> list[T]:
-    """Return the significant ones and the first few of the others."""
-    return [*filter(holds, ordered), *[each for each in ordered if not holds(each)][:_MOST_OTHERS]]
-
-
-def _unit(each: Trend | Drift) -> str:
-    return "log " * (each.scale == "log") + each.unit_of_measure
-
-
-def _trend_row(each: Trend) -> Sequence[Cell]:
-    mood, per = "bad" if each.significant else "", each.per.replace("serial numbers", "serials")
-    return cells(
-        Cell(each.parameter, mood), concise(each.slope, each.slope_sd), _unit(each), per,
-        str(each.units), chance_text(each.p)
-    )  # fmt: skip
+    return Report(told, [replace(sheet, narrow=replace(of_columns(sheet, (0, 1, 2, 5)), note=""))])
 
 
 def _drift_row(each: Drift) -> Sequence[Cell]:
     return cells(
         Cell(each.parameter, "bad" if each.significant else ""), concise(each.mean, each.mean_sd),
-        _unit(each), str(each.pairs), str(each.significant),
+        "log " * (each.scale == "log") + each.unit_of_measure, str(each.pairs), str(each.significant),
         chance_text(each.p), ", ".join(each.units[:4])
     )  # fmt: skip
 

@@ -170,8 +170,8 @@ STUDENT_FREEDOM = (2.0, 4.0, 8.0)
 """Degrees of freedom of the t laws compared with the normal law (convention)."""
 TAIL_ALARM = 0.1
 """The t laws are tried where the most distant unit has a p-value below this, all units counted (effort)."""
-OUTLYING_RATE = 0.05
-"""False discovery rate of outlying units (convention)."""
+RATE = 0.05
+"""False discovery rate of outlying units, drifting parameters and changed estimates (convention)."""
 MASS = 0.95
 _CORE = float(normal_survival(-1.0))
 
@@ -305,7 +305,7 @@ def shrunk(units: UnitPosteriors, found: Population) -> ShrunkUnits:
 def compared(units: UnitPosteriors, found: Population, mean: np.ndarray, sd: np.ndarray) -> ShrunkUnits:
     """Return units of given mean and sd with their distances from the population."""
     distance, p = _distances(found, *units.likelihood, units.informative)
-    return ShrunkUnits(mean, sd, distance, p, discoveries(p, OUTLYING_RATE))
+    return ShrunkUnits(mean, sd, distance, p, discoveries(p, RATE))
 
 
 def _normal_moments(

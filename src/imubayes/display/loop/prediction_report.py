@@ -247,8 +247,7 @@ def _due(found: Repeatability) -> Iterator[str]:
         else:
             yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second one."
     yield (
-        "This assumes a linear drift, which two calibrations cannot test. `imubayes batch trends` tests it with "
-        "several."
+        "This assumes a linear drift, which two calibrations cannot test. `imubayes batch drift` tests it with several."
     )
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a batch: trend over dates, pooled evidence by campaign, and before against after."""
+"""Pictures of a batch: calibrations over dates, pooled evidence by campaign, and before against after."""
 
 from collections.abc import Sequence
 
@@ -14,10 +14,10 @@ from imubayes_archive.unit_fits.pooled_discovery import PooledDiscovery, PooledF
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
 # Standard uncertainties above so many times the median do not set the limits of an axis.
 _VAGUE = 5.0
-_TREND = (
+_DRIFT = (
     "Each point is one calibration: the estimate with its standard uncertainty, the prior of the model divided "
-    "out; very uncertain ones may reach beyond the axis. Lines join the calibrations of one unit. Without trend and "
-    "drift the points scatter about a level line."
+    "out; very uncertain ones may reach beyond the axis. Lines join the calibrations of one unit. Without drift these "
+    "lines are level within the uncertainties."
 )
 _EVIDENCE = (
     "Natural logarithm of the evidence of each campaign: positive values favour the effect, negative ones oppose "
@@ -33,17 +33,17 @@ _CHANGE = (
 
 
 @style.themed
-def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> style.Picture:
+def drift_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> style.Picture:
     """Return the estimates of some parameters over the dates of the calibrations.
 
     Parameters
     ----------
-    estimates : as `imubayes_archive.population.changes.dated_estimates` returns them.
+    estimates : as `imubayes_archive.population.drift.dated_estimates` returns them.
     parameters : names; six at most are drawn.
     """
     chosen = list(parameters)[:_MOST_PANELS]
     rows = max(1, (len(chosen) + 1) // 2)
-    figure = style.picture(11.0, 2.1 * rows + 0.5, "Trends over dates", _TREND)
+    figure = style.picture(11.0, 2.1 * rows + 0.5, "Calibrations over dates", _DRIFT)
     grid = style.panels(figure, rows, 2 if len(chosen) > 1 else 1, (0.8, 0.5, 0.1, 0.3), (0.9, 0.75))
     for axes in grid.flat[len(chosen) :]:
         axes.set_visible(False)
@@ -133,7 +133,7 @@ def change_picture(changes: pl.DataFrame) -> style.Picture:
 
     Parameters
     ----------
-    changes : schema `population.changes.CHANGES`.
+    changes : schema `population.model_comparison.CHANGES`.
     """
     ranked = changes.group_by("parameter").agg(pl.col("p").min()).sort("p")["parameter"].to_list()[:_MOST_ROWS]
     figure = style.picture(11.0, 0.32 * max(len(ranked), 2) + 0.7, "Before and after: changes with the model", _CHANGE)
