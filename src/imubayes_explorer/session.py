@@ -42,7 +42,9 @@ from imubayes_explorer.messages import (
     PointsWanted,
     PreviewFacts,
     PreviewWanted,
+    QuantitiesWanted,
 )
+from imubayes_explorer.narrowing import NarrowingRuns, RankedRuns
 from imubayes_explorer.open_model import OpenModel, Stamp, opened, ready, shown, stamp_of, told, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
@@ -108,7 +110,7 @@ class Session:
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, Stamp] = None, frozenset()
         self._looked = dict[str, tuple[Stamp, bool]]()
-        self._refits = threading.Lock()
+        self._refits, self._narrowing = threading.Lock(), RankedRuns()
         self._change: tuple[int, Change | None] = 0, None
         self.worker, self.closed = Worker(self.changed), False
 
@@ -284,6 +286,20 @@ class Session:
             with suppress(InputError):
                 before = read_summary_and_residuals(Path(parent))[0]
         return calibration_facts(found.result.summary, before, tree.nodes[parent].title if tree and parent else "")
+
+    def narrowing(self, wanted: QuantitiesWanted) -> NarrowingRuns | None:
+        """Return the runs that would narrow quantities most; None before they are ranked, which is a task."""
+        result = self.require(wanted.model).result
+        found = self._narrowing.of(result, wanted.names)
+
+        def work(tell: Tell) -> TaskOutcome:
+            tell("expected standard deviation after each candidate run")
+            self._narrowing.rank(result, wanted.names)
+            return TaskOutcome("")
+
+        if found is None and not any(each.kind == "runs" and each.at_work for each in self.worker.tasks):
+            self.worker.submit("runs", "rank the next runs", wanted.model, work)
+        return found
 
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view as bytes (see `PointTable.frame`)."""

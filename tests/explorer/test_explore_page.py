@@ -185,7 +185,7 @@ def test_help_tour_theme_and_what_is_known(fresh):
     fresh.wait("document.querySelector('#tab-panel').textContent.includes('Weakly determined combinations')")
     field = fresh.driver.find_element(By.CSS_SELECTOR, "#tab-panel input[list]")
     field.send_keys("scale_factor[gz]", Keys.ENTER)
-    fresh.wait("document.querySelector('#tab-panel .densities')")
+    fresh.wait("document.querySelector('#corner .posterior')")
     fresh.press(Keys.ESCAPE)
 
 
@@ -222,7 +222,7 @@ def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored, 
     assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
     # The name is completed, which draws the panel anew: what was unfolded stays so.
     field.send_keys("tor[gz]", Keys.ENTER)
-    fresh.wait("document.querySelector('#tab-panel .densities')")
+    fresh.wait("document.querySelector('#corner .posterior')")
     assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
 
 
