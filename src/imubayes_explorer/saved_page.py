@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from imubayes.display.figure_style import numbers
+from imubayes.display.residual_columns import numbers
 from imubayes.foundations.records import Record
 from imubayes_explorer.calibration import CalibrationFacts
 from imubayes_explorer.knowledge import KnownTables, known_tables

@@ -1,6 +1,6 @@
 // A corner of chosen quantities: prior and posterior on the diagonal, joint regions of pairs below it.
 
-import { digits, shortened } from "./dom.js";
+import { digits, minus, shortened } from "./dom.js";
 
 const SVG = "http://www.w3.org/2000/svg", CELL = 118, HEAD = 44, GAP = 6, LEFT = 30, FOOT = 16;
 // The range of a quantity is five standard deviations to each side.
@@ -15,7 +15,7 @@ function made(name, attributes = {}, words = "") {
 
 export function corner({ quantities, pairs, rows }) {
   const count = quantities.length, room = count > 1 ? LEFT : 0, width = room + count * (CELL + GAP), height = count * (CELL + GAP) + FOOT;
-  const said = pairs.map(({ across, up, correlation }) => `${quantities[up].name} with ${quantities[across].name} ${digits(correlation, 2)}`);
+  const said = pairs.map(({ across, up, correlation }) => `${quantities[up].name} with ${quantities[across].name} ${shared(correlation)}`);
   const picture = made("svg", {
     viewBox: `0 0 ${width} ${height}`, class: "corner", role: "img", id: "corner",
     "aria-label": `Prior and posterior of ${quantities.map(({ name, from_data }) => `${name}, ${from_data} from data`).join("; ")}.${said.length ? ` Correlations: ${said.join("; ")}.` : ""}`,
@@ -32,7 +32,7 @@ export function corner({ quantities, pairs, rows }) {
     const cell = at(pair.across, pair.up);
     cell.append(made("rect", { width: CELL, height: CELL, class: "frame" }), made("path", { d: `M${CELL / 2} 0V${CELL}M0 ${CELL / 2}H${CELL}`, class: "middle" }));
     pair.regions.forEach(({ share, spans }) => cell.append(made("path", { d: spans.map((span) => slice(span, rows)).join(""), class: share > 0.9 ? "wide" : "narrow" })));
-    cell.append(made("text", { x: CELL - 4, y: 11, class: "end" }, `ρ ${digits(pair.correlation, 2)}`));
+    cell.append(made("text", { x: CELL - 4, y: 11, class: "end" }, `ρ ${shared(pair.correlation)}`));
     picture.append(cell);
   }
   if (count > 1) {
@@ -44,6 +44,11 @@ export function corner({ quantities, pairs, rows }) {
     }
   }
   return picture;
+}
+
+// Two decimals; close to one as many as show how close.
+function shared(correlation) {
+  return minus(correlation.toFixed(Math.abs(correlation) > 0.99 ? 4 : 2)).replace("−0.00", "0.00");
 }
 
 function tick(x, y, words) {

@@ -54,7 +54,7 @@ function cornerOf(names, actions) {
     here ? [
       here.quantities.length === 1 && here.quantities[0].written ? prior(here.quantities[0], actions) : null,
       el("figure", {}, el("figcaption", {}, here.quantities.length === 1 ? numbersOf(here.quantities[0]) : "Joint regions with 50 and 95 % of the draws, ρ: correlation. ", el("span", { class: "posterior-words" }, "Posterior"), ", ", el("span", { class: "quiet" }, "prior (dashed)"), "."), corner(here)),
-      here.quantities.length > 1 ? el("table", {}, el("tbody", {}, here.quantities.map((each) => el("tr", {}, el("td", { class: "left" }, each.name), el("td", {}, `${minus(each.estimate)} ± ${each.sd}`), el("td", { class: "left" }, each.unit), el("td", { class: each.weak ? "doubtful" : "" }, each.from_data))))) : null,
+      here.quantities.length > 1 ? numbersTable(here.quantities) : null,
       runs(names, actions),
     ].flat() : el("p", { class: "quiet" }, "…"),
   ].flat();
@@ -62,6 +62,12 @@ function cornerOf(names, actions) {
 
 function numbersOf({ estimate, sd, unit }) {
   return `${minus(estimate)} ± ${sd} ${unit}. `;
+}
+
+function numbersTable(quantities) {
+  return el("table", { class: "wide" }, el("thead", {}, el("tr", {}, el("th", { class: "left" }, "name"), el("th", {}, "estimate ± sd"), el("th", { class: "left" }, "unit"), el("th", {}, "from data"))),
+    el("tbody", {}, quantities.map((each) => el("tr", {}, el("td", { class: "left" }, each.name), el("td", { "data-label": "estimate" }, `${minus(each.estimate)} ± ${each.sd}`),
+      el("td", { class: "left", "data-label": "unit" }, each.unit), el("td", { "data-label": "from data", class: each.weak ? "doubtful" : "" }, each.from_data)))));
 }
 
 // The run that would narrow them: ranked when asked for, which takes the worker some seconds the first time.
