@@ -134,7 +134,7 @@ def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, t
         try:
             done = client.json("state")
             ended(process)
-            page.wait("document.querySelector('#notice').textContent.includes('The server is gone')")
+            page.wait("document.querySelector('#notice').textContent.includes('The server has stopped')")
         finally:
             page.close()
         process, address = served(root)
