@@ -1,8 +1,8 @@
 """The page of the loop: first points, previews and brushes, in Chromium, at three sizes of a campaign.
 
 The server is `imubayes explore` in a process of its own on results that are fitted but not diagnosed, with compiled
-code at hand; its CPU time is that since its start.  A brush is a click on a cell of the map, up to the frame in which its
-causes are drawn; a preview is a request, answered for every cause once.  Browser and server share the cores.
+code at hand; its CPU time is that since its start.  A brush is a click on a cell of the map, up to the frame in which
+its causes are drawn; a preview is a request, answered for every cause once.  Browser and server share the cores.
 """
 
 import json
@@ -43,12 +43,7 @@ class Server:
     """`imubayes explore` on a result, and when it printed its address."""
 
     def __init__(self, result: Path):
-        environment = os.environ | {
-            "PYTHONPATH": str(ROOT / "src"),
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }
-        command = [sys.executable, "-m", "imubayes.cli.main", "explore", str(result), "--no-browser"]
+        command = [*_COMMAND, "explore", str(result), "--no-browser"]
         began = time.monotonic()
         self.process = subprocess.Popen(
             command, env=_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -73,17 +68,8 @@ def p95(times: list[float]) -> float:
 
 
 def fitted(folder: Path, campaign: Path, model: str) -> Path:
-    command = [
-        sys.executable,
-        "-m",
-        "imubayes.cli.main",
-        "fit",
-        str(campaign),
-        "--model",
-        str(ROOT / f"models/{model}.toml"),
-    ]
-    environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    subprocess.run([*command, "--out", str(folder), "--no-sample"], env=environment, check=True, capture_output=True)
+    command = [*_COMMAND, "fit", str(campaign), "--model", str(ROOT / f"models/{model}.toml"), "--out", str(folder)]
+    subprocess.run([*command, "--no-sample"], env=_ENVIRONMENT, check=True, capture_output=True)
     return folder
 
 
