@@ -1,8 +1,9 @@
 """The page of the loop: first points, previews and brushes, in Chromium, at three sizes of a campaign.
 
 The server is `imubayes explore` in a process of its own on results that are fitted but not diagnosed, with compiled
-code at hand; its CPU time is that since its start.  A brush is a click on a cell of the map, up to the frame in which
-its causes are drawn; a preview is a request, answered for every cause once.  Browser and server share the cores.
+code at hand; CPU times are those of the server and of the main thread of the page.  A brush is a click on a cell of the
+map, up to the frame in which its causes are drawn; a preview is a request, answered for every cause once.  Browser and
+server share the cores.
 """
 
 import json
@@ -73,6 +74,12 @@ def fitted(folder: Path, campaign: Path, model: str) -> Path:
     return folder
 
 
+def page_cpu(page: Page) -> float:
+    """Return the CPU time of the main thread of the page, s."""
+    found = page.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return next(each["value"] for each in found if each["name"] == "TaskDuration")
+
+
 def brushes(page: Page) -> list[float]:
     """Return the times of clicks on cells all over the map, s."""
     found = []
@@ -101,6 +108,7 @@ def walked(result: Path) -> dict[str, float]:
         found = {"address": server.started, "address, CPU": server.cpu}
         page = Page("about:blank", wait=False)
         try:
+            page.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
             before, began = server.cpu, time.monotonic()
             page.open(server.address)
             found |= {"points": time.monotonic() - began, "points, CPU": server.cpu}
@@ -108,8 +116,10 @@ def walked(result: Path) -> dict[str, float]:
             found["brush, weighing"] = p95(brushes(page))
             page.wait("document.querySelector('.tick:not(:disabled)')")
             found |= {"ready": time.monotonic() - began, "ready, CPU": server.cpu}
-            before, taken = server.cpu, brushes(page)
+            before, drawing = server.cpu, page_cpu(page)
+            taken = brushes(page)
             found |= {"brush": p95(taken), "brush, CPU": (server.cpu - before) / len(taken)}
+            found["brush, page"] = (page_cpu(page) - drawing) / len(taken)
             before, taken = server.cpu, previews(server.address)
             found |= {"preview": p95(taken), "preview, CPU": (server.cpu - before) / len(taken)}
         finally:
@@ -148,6 +158,7 @@ def _say(report: Report, found: dict[str, dict[str, float]]) -> None:
         "page opened to previews, s": ("ready", "ready, CPU"),
         "brush while causes are weighed, p95, s": ("brush, weighing", ""),
         "brush, p95, s": ("brush", "brush, CPU"),
+        "brush, CPU of the page, s": ("brush, page", ""),
         "preview, p95, s": ("preview", "preview, CPU"),
     }
     rows = [

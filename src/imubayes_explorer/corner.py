@@ -19,7 +19,7 @@ from imubayes_explorer.edited_model import prior_text
 
 _PLACES, _REACH, _KERNEL = 81, 5.0, 0.25
 """Places of a density, its range and the width of its kernel in standard deviations of the posterior."""
-_CELLS, _SHARES, _SMOOTHED = 60, (0.95, 0.5), 0.32
+_CELLS, _SHARES, _SMOOTHED = 80, (0.95, 0.5), 0.45
 """Cells of a pair along each axis, shares of the draws in its regions, and width of its kernel in standard deviations,
 for a thousand draws."""
 Span = tuple[int, float, float]

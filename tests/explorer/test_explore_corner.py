@@ -7,7 +7,7 @@ from explore_page import LACKING, Page
 from selenium.webdriver.common.keys import Keys
 
 from imubayes.foundations.errors import InputError
-from imubayes_explorer.corner import _pair, _places, corner_facts
+from imubayes_explorer.corner import CornerFacts, _pair, _places, corner_facts
 
 SCALE, RATE = "scale_factor[gz]", "table_rate_error.rate_error[rate]"
 
@@ -35,7 +35,7 @@ def test_a_region_holds_its_share_of_the_draws():
     across = rng.normal(3.0, 2.0, 20_000)
     up = 0.1 * (across - 3) ** 2 + rng.normal(0.0, 0.2, across.size)
     places = [_places(each) for each in (across, up)]
-    found, rows = _pair(0, 1, [across, up], places), 60
+    found, rows = _pair(0, 1, [across, up], places), CornerFacts.model_fields["rows"].default
     x, y = ((each - own[0]) / (own[-1] - own[0]) for each, own in zip((across, up), places, strict=True))
     assert found.correlation == pytest.approx(np.corrcoef(across, up)[0, 1], abs=1e-9)
     for region in found.regions:

@@ -42,7 +42,7 @@ export class Chart {
       cursor: { points: { show: false }, drag: { x: false, y: false, setScale: false }, focus: { prox: -1 } },
       select: { show: true, left: 0, top: 0, width: 0, height: 0 },
       scales: { x: { time: false, range: () => this.ranges.x }, y: { range: () => this.ranges.y } },
-      axes: [{ ...axis, size: 30, label: this.xLabel || "", space: 60, values: (_, splits) => ticks(splits) }, { ...axis, size: 66, label: (u) => fitting(this.yLabel, u.over.clientHeight + 24), space: 26, values: (_, splits) => ticks(splits) }],
+      axes: [{ ...axis, size: 30, label: this.xLabel || "", space: 60, values: (_, splits) => ticks(splits) }, { ...axis, size: 72, label: (u) => fitting(this.yLabel, u.over.clientHeight + 24), space: 26, values: (_, splits) => ticks(splits) }],
       series: [{}, { paths: () => null, points: { show: false } }],
       hooks: { draw: [(u) => this.paint(u)] },
     }, [[0, 1], [0, 1]], this.place);

@@ -16,7 +16,7 @@ const STEPS = [
   ["below", "Nothing is lost", "Every model tried is in the tree, and has its own folder. Undo returns to the previous model; the selected one is exported. The tab Commands shows your steps as a script."],
 ];
 
-const GAP = 10, box = el("aside", { id: "tour", role: "dialog", "aria-labelledby": "tour-title" });
+const GAP = 10, box = el("div", { id: "tour", role: "dialog", "aria-labelledby": "tour-title" });
 let now = -1;
 
 box.addEventListener("keydown", (event) => {
