@@ -143,10 +143,8 @@ class Session:
                 self._open[model] = self._open.pop(model)
                 return self._open[model]
             # The first fit opens its result itself; until then there is no other model.
-            coming = (
-                (each.kind, each.of) in (("fit", ""), ("open", model)) for each in self.worker.tasks if each.at_work
-            )
-            if not any(coming):
+            at_work = [(each.kind, each.of) for each in self.worker.tasks if each.at_work]
+            if ("fit", "") not in at_work and ("open", model) not in at_work:
                 folder = self.place_of(model)
                 self.worker.submit(
                     "open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell)
