@@ -247,7 +247,7 @@ def test_all_estimates_are_listed_with_and_without_a_preview(fresh):
     fresh.click(f'[id="tick-{HIDDEN}"]')
     fresh.wait("document.querySelectorAll('#calibration th').length === 7")
     assert fresh.run("document.querySelectorAll('#calibration tbody tr').length") == count
-    assert fresh.run("document.querySelector('#calibration tbody tr td:last-child').textContent").endswith(" sd")
+    assert fresh.run("document.querySelector('#calibration tbody tr [data-label=shift]').textContent").endswith(" sd")
     fresh.press(Keys.ESCAPE)
 
 
