@@ -16,6 +16,8 @@ def test_a_quantity_has_the_numbers_of_the_summary_and_its_prior_on_one_scale(cl
     found = client.json("corner", {"model": first, "names": [SCALE, RATE]})
     scale, rate = found["quantities"]
     own = explored.session.require(first).result.quantities[SCALE]
+    assert own.mean is not None
+    assert own.sd is not None
     highest = scale["x"][int(np.argmax(scale["posterior"]))]
     assert abs(highest - own.mean) < own.sd
     assert float(scale["estimate"]) == pytest.approx(own.mean, abs=own.sd / 10)
