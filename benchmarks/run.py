@@ -6,7 +6,7 @@ Each prints its tables and writes them to benchmarks/results/.  Let nothing else
 import argparse
 import importlib
 
-ORDER = ("startup", "fit", "batch", "batch_scale", "population", "reduction", "sampling", "allan", "growth")
+ORDER = ("startup", "fit", "batch", "batch_scale", "population", "reduction", "sampling", "allan", "growth", "explore")
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ PUBLIC = (
     "imubayes.api", "imubayes.campaign.campaign_reader", "imubayes.campaign.campaign_writer",
     "imubayes.cli.registration",
     "imubayes.cli.session", "imubayes.display.figure_style", "imubayes.display.layout",
-    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.shown_records",
+    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.residual_columns",
+    "imubayes.display.shown_records",
     "imubayes.effects.base", "imubayes.foundations", "imubayes.model.bind", "imubayes.model.model_file",
     "imubayes.noise.components", "imubayes.parameters", "imubayes.procedures", "imubayes.results",
 )  # fmt: skip

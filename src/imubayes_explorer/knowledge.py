@@ -1,4 +1,4 @@
-"""What the runs determined, what they did not, and the run that would: tables of a fit, any quantity, sensor axes.
+"""What the runs determined, what they did not, and the run that would: tables of a fit, and sensor axes.
 
 Axes stand in body axes and in each mounting, as designed and as fitted, with their uncertainty cones.
 """
@@ -8,20 +8,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from imubayes.display.fit_quality_tables import combination_sheet, contribution_sheet, next_run_sheet, weak_sheet
-from imubayes.display.numbers_and_labels import pretty
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.campaign_data import Channel
-from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.quantity_names import INPUT_AXIS, name_of
 from imubayes.foundations.records import Record
 from imubayes.results.result import Result
-from imubayes.results.stored_tables import draws_of
-from imubayes.results.summary import in_output_units
-from imubayes_explorer.edited_model import prior_text
 from imubayes_explorer.messages import ShownTable, shown_table
-
-_PLACES, _REACH, _KERNEL = 81, 5.0, 0.25
-
 
 _LEVEL = 2.448
 """Radius, in standard deviations, that holds 95 % of a normal distribution in two dimensions."""
@@ -62,20 +54,6 @@ class KnownTables(Record):
     frames: tuple[AxisFrame, ...]
 
 
-class QuantityFacts(Record):
-    """One quantity: densities of posterior and prior at places `x` in `unit`, each over its highest value.
-
-    `written` is the prior of a parameter as a model file has it; empty of a derived quantity.
-    """
-
-    name: str
-    unit: str
-    written: str
-    x: tuple[float, ...]
-    posterior: tuple[float, ...]
-    prior: tuple[float, ...]
-
-
 def known_tables(result: Result) -> KnownTables:
     """Return what the runs of a result determined, and what they did not."""
     summary = result.summary
@@ -85,33 +63,6 @@ def known_tables(result: Result) -> KnownTables:
     )  # fmt: skip
     shown, names = tuple(map(shown_table, sheets)), tuple(result.quantities)
     return KnownTables(tables=shown, quantities=names, frames=axis_frames(result))
-
-
-def quantity_facts(result: Result, name: str) -> QuantityFacts:
-    """Return prior and posterior of a quantity; raises InputError for one that the result does not have."""
-    if name not in result.quantities:
-        allowed = closest_first(name, result.quantities)
-        raise input_error(f"no quantity '{name}'", "quantity", allowed, "choose one of these")
-    posterior = result.draws.get(name, np.zeros(0))
-    prior = draws_of(result.posterior["prior"].to_dataset(), [name]).get(name, np.zeros(0))
-    found = posterior[np.isfinite(posterior)]
-    if len(found) < 2:
-        raise input_error(f"'{name}' has no draws", "quantity", "a quantity with draws", "choose another one")
-    middle, reach = float(np.median(found)), _REACH * max(float(found.std()), 1e-300)
-    x = np.linspace(middle - reach, middle + reach, _PLACES)
-    shown = {each.name: each for each in (*in_output_units(result.summary).parameters, *result.summary.derived)}
-    return QuantityFacts(
-        name=name, unit=pretty(shown[name].unit), written=prior_text(result.fit.model, name), x=tuple(x.tolist()),
-        posterior=_density(found, x), prior=_density(prior, x),
-    )  # fmt: skip
-
-
-def _density(draws: np.ndarray, x: np.ndarray) -> tuple[float, ...]:
-    """Return a kernel density of draws at places, over its highest value; 0 without draws."""
-    known = draws[np.isfinite(draws)]
-    width = _KERNEL * max(float(known.std()) if len(known) else 0.0, 1e-300)
-    found = np.sum(np.exp(-0.5 * ((x[:, None] - known) / width) ** 2), axis=1)
-    return tuple((found / max(float(found.max()), 1e-300)).tolist())
 
 
 def axis_frames(result: Result) -> tuple[AxisFrame, ...]:

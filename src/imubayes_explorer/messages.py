@@ -158,10 +158,10 @@ class PointWanted(ModelWanted):
     entry: int
 
 
-class QuantityWanted(ModelWanted):
-    """A quantity of a model by its name."""
+class QuantitiesWanted(ModelWanted):
+    """Quantities of a model by their names."""
 
-    name: str
+    names: tuple[str, ...] = Field(min_length=1, max_length=6)
 
 
 class LockWanted(Record):

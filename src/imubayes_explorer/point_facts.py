@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from imubayes.display.figure_style import numbers
 from imubayes.display.numbers_and_labels import pretty, rounded, significant, value_and_sd, with_minus
+from imubayes.display.residual_columns import numbers
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record
 from imubayes_explorer.point_table import PointTable

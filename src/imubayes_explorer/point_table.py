@@ -13,8 +13,8 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, noise_sd
 from imubayes.criticism.diagnosis_record import CovariateLabel
-from imubayes.display.figure_style import NORMAL, band, numbers, temperature_levels, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
+from imubayes.display.residual_columns import NORMAL, band, numbers, temperature_levels, varies
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 from imubayes_explorer.known_noise_view import KnownNoiseView

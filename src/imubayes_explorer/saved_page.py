@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from imubayes.display.figure_style import numbers
+from imubayes.display.residual_columns import numbers
 from imubayes.foundations.records import Record
 from imubayes_explorer.calibration import CalibrationFacts
 from imubayes_explorer.knowledge import KnownTables, known_tables
@@ -21,9 +21,9 @@ from imubayes_explorer.open_model import OpenModel
 from imubayes_explorer.session_state import SessionState
 
 _MODULES = (
-    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "knowledge", "estimates",
-    "below", "tasks", "formula", "keys", "tour", "picture", "points", "legend", "marks", "beside", "panels",
-    "first", "main",
+    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "corner", "knowledge",
+    "estimates", "below", "tasks", "formula", "keys", "tour", "picture", "points", "legend", "marks", "beside",
+    "panels", "first", "main",
 )  # fmt: skip
 _PREVIEWED, _MOST_NUMBERS = 6, 700_000
 """Causes of each model that are previewed, and numbers of each model that a file has room for."""

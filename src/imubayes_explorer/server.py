@@ -19,8 +19,9 @@ from starlette.routing import Route
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Record
 from imubayes_explorer import messages
+from imubayes_explorer.corner import corner_facts
 from imubayes_explorer.guard import Application, Guard
-from imubayes_explorer.knowledge import known_tables, quantity_facts
+from imubayes_explorer.knowledge import known_tables
 from imubayes_explorer.point_facts import point_facts
 from imubayes_explorer.saved_page import saved_page
 from imubayes_explorer.session import Session
@@ -30,6 +31,8 @@ _LOOKED, _ALIVE = 2.0, 5
 """Seconds after which the folders are looked at again, and looks without news after which a stream says that the server
 is there."""
 _STILL_HERE = ": still here\n\n"
+_LATER = Response(status_code=202)
+"""The answer comes with a task: it is asked for again when that is done."""
 
 
 class Faults(Record):
@@ -108,7 +111,8 @@ class _Answers:
             "known": (messages.ModelWanted, lambda w: known_tables(require(w.model).result)),
             "estimates": (messages.ModelWanted, session.calibration),
             "point": (messages.PointWanted, lambda w: point_facts(require(w.model).table, w.entry)),
-            "quantity": (messages.QuantityWanted, lambda w: quantity_facts(require(w.model).result, w.name)),
+            "corner": (messages.QuantitiesWanted, lambda w: corner_facts(require(w.model).result, w.names)),
+            "runs": (messages.QuantitiesWanted, lambda w: session.narrowing(w) or _LATER),
             "change": (messages.ChangeWanted, lambda w: Begun(task=session.change(w))),
             "reload": (messages.ModelWanted, self._done(lambda w: session.reload(w.model))),
             "select": (messages.ModelWanted, self._done(lambda w: session.select(w.model))),
@@ -168,7 +172,7 @@ class _Answers:
 
     def model(self, wanted: messages.ModelWanted) -> Said:
         found = self.session.get(wanted.model)
-        return Response(status_code=202) if found is None else found.facts()
+        return _LATER if found is None else found.facts()
 
     def _done(self, act: Callable[..., None]) -> Callable[[Record], Said]:
         """Return what does something and answers with the state after it."""

@@ -7,31 +7,26 @@ same.  What windows are told is one record, which counts its changes.
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from glob import escape
-from operator import methodcaller
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from imubayes.api import add, export, fit, refit, remove
-from imubayes.display.loop import diagnosis_report as report
+from imubayes.api import export, fit
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
-from imubayes.foundations.files import remove_abandoned, write_text
+from imubayes.foundations.files import remove_abandoned
 from imubayes.foundations.progress import Tell
-from imubayes.loop.model_changes import reduce
 from imubayes.loop.model_history import Tree
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
 from imubayes.results.result import Result, read_result
-from imubayes.results.result_folder import write_model
 from imubayes.results.stored_tables import read_summary_and_residuals
 from imubayes_explorer.calibration import CalibrationFacts, calibration_facts
-from imubayes_explorer.edited_model import EditedModel, edited_model
+from imubayes_explorer.changes import Change, change_of, folder_for
 from imubayes_explorer.kept_session import KeptSession, ModelNote
 from imubayes_explorer.messages import (
     ChangeWanted,
@@ -42,7 +37,9 @@ from imubayes_explorer.messages import (
     PointsWanted,
     PreviewFacts,
     PreviewWanted,
+    QuantitiesWanted,
 )
+from imubayes_explorer.narrowing import NarrowingRuns, RankedRuns
 from imubayes_explorer.open_model import OpenModel, Stamp, opened, ready, shown, stamp_of, told, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
@@ -51,45 +48,6 @@ from imubayes_explorer.session_state import SessionState, id_of, marks_of, tree_
 from imubayes_explorer.worker import TaskOutcome, Worker
 
 _MOST_OPEN = 4
-
-
-@dataclass(frozen=True)
-class Change:
-    """A change of a model.
-
-    Attributes
-    ----------
-    what, command : of it, in words, and what does the same.
-    make, predict : what does it, and what shows it before the fit is made.
-    adding : effects that are added, of which there is a linear prediction as well.
-    write, file : what writes the file that it needs; the file goes where the change is not made.
-    """
-
-    what: str
-    command: str
-    make: Callable[[Tell], ModelChange]
-    predict: Callable[[], Ahead | None]
-    adding: tuple[str, ...] = ()
-    write: Callable[[], object] = lambda: None
-    file: Path | None = None
-
-    @cached_property
-    def ahead(self) -> Ahead | None:
-        """What it does to the residuals; None where that takes the fit, and where the fit will say what is wrong."""
-        try:
-            return self.predict()
-        except InputError:
-            return None
-
-    def written(self, tell: Tell) -> ModelChange:
-        """Make the change."""
-        self.write()
-        try:
-            return self.make(tell)
-        except BaseException:
-            if self.file is not None:
-                self.file.unlink(missing_ok=True)
-            raise
 
 
 class Session:
@@ -108,7 +66,7 @@ class Session:
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, Stamp] = None, frozenset()
         self._looked = dict[str, tuple[Stamp, bool]]()
-        self._refits = threading.Lock()
+        self._refits, self._narrowing = threading.Lock(), RankedRuns()
         self._change: tuple[int, Change | None] = 0, None
         self.worker, self.closed = Worker(self.changed), False
 
@@ -184,7 +142,9 @@ class Session:
             if model in self._open:
                 self._open[model] = self._open.pop(model)
                 return self._open[model]
-            if not any(each.kind == "open" and each.of == model and each.at_work for each in self.worker.tasks):
+            # The first fit opens its result itself; until then there is no other model.
+            at_work = [(each.kind, each.of) for each in self.worker.tasks if each.at_work]
+            if ("fit", "") not in at_work and ("open", model) not in at_work:
                 folder = self.place_of(model)
                 self.worker.submit(
                     "open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell)
@@ -266,7 +226,7 @@ class Session:
     def previewed(self, wanted: PreviewWanted) -> PreviewFacts:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
-        out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
+        out = folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
         facts = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
         return facts.model_copy(update={"task": wanted.task})
 
@@ -284,6 +244,20 @@ class Session:
             with suppress(InputError):
                 before = read_summary_and_residuals(Path(parent))[0]
         return calibration_facts(found.result.summary, before, tree.nodes[parent].title if tree and parent else "")
+
+    def narrowing(self, wanted: QuantitiesWanted) -> NarrowingRuns | None:
+        """Return the runs that would narrow quantities most; None before they are ranked, which is a task."""
+        result = self.require(wanted.model).result
+        found = self._narrowing.of(result, wanted.names)
+
+        def work(tell: Tell) -> TaskOutcome:
+            tell("expected standard deviation after each candidate run")
+            self._narrowing.rank(result, wanted.names)
+            return TaskOutcome("")
+
+        if found is None and not any(each.kind == "runs" and each.at_work for each in self.worker.tasks):
+            self.worker.submit("runs", "rank the next runs", wanted.model, work)
+        return found
 
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view as bytes (see `PointTable.frame`)."""
@@ -318,15 +292,6 @@ class Session:
             self._kept.write(self.root)
         self.changed()
 
-    def folder_for(self, model: OpenModel, word: str) -> Path:
-        """Return a free folder beside a model for the one that follows it."""
-        number, first = 1, model.folder.with_name(f"{model.folder.name}-{word}")
-        folder = first
-        while folder.exists():
-            number += 1
-            folder = first.with_name(f"{first.name}-{number}")
-        return folder
-
     def change(self, wanted: ChangeWanted) -> int:
         """Add or remove effects, and fit again; return the number of the task.
 
@@ -337,7 +302,8 @@ class Session:
         """
         model = self.require(wanted.model)
         self._refuse_changed_campaign(model)
-        change = self._made(model, wanted)
+        locked = [name for name, lock in self._kept.locks.items() if lock == "in"]
+        change = change_of(model, wanted, locked, self.ready_models)
 
         def work(tell: Tell) -> TaskOutcome:
             tell("new residuals")
@@ -352,74 +318,6 @@ class Session:
             number = self.worker.submit("change", change.what, model.id, work, change.adding)
             self._change = number, change
             return number
-
-    def _made(self, model: OpenModel, wanted: ChangeWanted) -> Change:
-        """Return a change as it was asked for."""
-        if wanted.formula_of:
-            return self._adding_formula(model, wanted)
-        if wanted.add:
-            return self._adding(model, self._with_locked(wanted.add, model), wanted.channels)
-        if wanted.remove:
-            return self._removing(model, wanted.remove)
-        return self._refitting(model, edited_model(model, wanted))
-
-    def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
-        """Return effects with those that are always added."""
-        locked = [name for name, lock in self._kept.locks.items() if lock == "in" and name in model.view.variants]
-        return tuple(dict.fromkeys((*effects, *locked)))
-
-    def _adding(self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None) -> Change:
-        folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
-        return Change(
-            what=f"add {', '.join(effects)}",
-            command=report.add_command(effects, channels, model.place, shown(folder)),
-            make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.told, progress=tell),
-            predict=lambda: model.ahead_of_adding(effects, channels),
-            adding=effects,
-        )
-
-    def _adding_formula(self, model: OpenModel, wanted: ChangeWanted) -> Change:
-        """Return the change of writing an effect for the formula of a residual, and adding it on its channel."""
-        channel, found = wanted.formula_of, model.view.formula(wanted.formula_of, wanted.drawn)
-        if found is None:
-            raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with one",
-                              "choose another channel")  # fmt: skip
-        folder = self.folder_for(model, "found_shape")
-        file = folder.with_name(f"{folder.name}.py")
-        view = model.view
-        return Change(
-            what=f"add the formula of {channel}",
-            command=report.add_command([shown(file)], [channel], model.place, shown(folder)),
-            make=lambda tell: add(
-                model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
-            ),
-            predict=lambda: view.ahead(view.fit.model, columns=view.columns_of(found, wanted.drawn)),
-            write=lambda: write_text(file, report.formula_source(found)),
-            file=file,
-        )
-
-    def _removing(self, model: OpenModel, effects: tuple[str, ...]) -> Change:
-        folder = self.folder_for(model, f"without-{effects[0]}")
-        return Change(
-            what=f"remove {', '.join(effects)}",
-            command=command_line("remove", *effects, "--from", model.place, "--out", shown(folder)),
-            make=lambda tell: remove(model.result, effects, folder, progress=tell),
-            predict=lambda: model.view.ahead(reduce(model.view.fit, effects).model),
-        )
-
-    def _refitting(self, model: OpenModel, edited: EditedModel) -> Change:
-        """Return the change to an edited model; its file stays beside the results, as the command names it."""
-        folder = self.folder_for(model, edited.word)
-        file = folder.with_name(f"{folder.name}.toml")
-        ahead_of = methodcaller("ahead_of", edited.spec)
-        return Change(
-            what=edited.what,
-            command=command_line("refit", model.place, "--model", shown(file), "--out", shown(folder)),
-            make=lambda tell: refit(model.result, file, folder, progress=tell),
-            predict=lambda: next(filter(None, map(ahead_of, (model, *self.ready_models))), None),
-            write=lambda: write_model(edited.spec, file),
-            file=file,
-        )  # fmt: skip
 
     def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
         self.keep(command)

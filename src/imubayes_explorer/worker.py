@@ -16,7 +16,7 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 
 TaskState = Literal["waiting", "running", "cancelling", "done", "failed", "cancelled"]
-TaskKind = Literal["open", "fit", "change"]
+TaskKind = Literal["open", "fit", "change", "runs"]
 _AT_WORK: tuple[TaskState, ...] = ("waiting", "running", "cancelling")
 _TOLD_EVERY, _ENDED_TOLD = 0.1, 8
 

@@ -6,8 +6,8 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.formula_search import library
-from imubayes.display.figure_style import covariates_of, numbers
 from imubayes.display.figures.panels import abscissa
+from imubayes.display.residual_columns import covariates_of, numbers
 from imubayes.foundations.covariates import COVARIATES, Covariate
 from imubayes.foundations.signal_path_state import Ambient
 from imubayes.foundations.units import same_dimension

@@ -22,7 +22,7 @@ from matplotlib.transforms import Bbox
 import imubayes_explorer as explorer
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, RunChi2
 from imubayes.campaign import load_campaign
-from imubayes.display.figure_style import FewTicks, Picture, covariates_of, picture
+from imubayes.display.figure_style import FewTicks, Picture, picture
 from imubayes.display.figures import (
     campaign_timeline_figure,
     corner_figure,
@@ -40,6 +40,7 @@ from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
 from imubayes.display.figures.residual import HEAT
 from imubayes.display.numbers_and_labels import covariate, ratio_text
+from imubayes.display.residual_columns import covariates_of
 from imubayes.results.summary import Summary
 from imubayes.results.temperature_range import ThermalModel
 

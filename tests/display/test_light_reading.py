@@ -56,6 +56,12 @@ def test_a_fit_loads_no_satellite():
     assert satellites(executed(*FIT, "imubayes_qualification.budgets.report_budgets"))
 
 
+@pytest.mark.compiled  # a process
+def test_the_page_of_the_loop_loads_no_figures():
+    """It draws by itself, and its first points wait for what it loads."""
+    assert not loaded("imubayes_explorer.start") & {"matplotlib", "emcee", "arviz_stats", "pandas"}
+
+
 @pytest.mark.compiled  # processes
 def test_numbers_of_a_table_are_read_without_the_functions_of_arrow():
     campaign = Path(__file__).parents[2] / "data" / "hidden-gyro"

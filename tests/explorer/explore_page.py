@@ -18,7 +18,7 @@ LACKING = BROWSER is None or DRIVER is None
 class Page:
     """A window on the session."""
 
-    def __init__(self, address: str, width: int = 1280, height: int = 800):
+    def __init__(self, address: str, width: int = 1280, height: int = 800, *, wait: bool = True):
         options = webdriver.ChromeOptions()
         options.binary_location = BROWSER or ""
         for argument in ("headless=new", "no-sandbox", "disable-gpu", "disable-dev-shm-usage", "disable-extensions",
@@ -29,9 +29,11 @@ class Page:
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}  # of what the page has
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         self.address, self.requested = address.partition("#")[0], set[str]()
-        self.open(address)
+        if wait:
+            self.open(address)
 
     def open(self, address: str) -> None:
+        """Open a page and wait until its map and its points are drawn."""
         self.driver.get(address)
         self.wait(
             "document.querySelectorAll('.cell').length > 0 && document.querySelector('#legend').children.length > 0"

@@ -506,14 +506,6 @@ def test_what_is_known_is_that_of_the_summary(client, explored, first):
     assert "Weakly determined combinations" in titles
     weak = next(table for table in found["tables"] if table["title"] == "Weakly determined combinations")
     assert len(weak["rows"]) == len(summary.weak_directions)
-    name = "scale_factor[gz]"
-    quantity = client.json("quantity", {"model": first, "name": name})
-    estimate = next(each for each in summary.derived if each.name == name)
-    highest = quantity["x"][int(np.argmax(quantity["posterior"]))]
-    assert abs(highest - estimate.mean) < estimate.sd
-    # The prior is far wider than the posterior, and nearly flat there.
-    assert np.ptp(quantity["prior"]) < 0.5 < np.ptp(quantity["posterior"])
-    assert client.ask("quantity", {"model": first, "name": "<nothing>"})[0] == 400
 
 
 def test_the_saved_page_holds_the_readings_and_asks_nobody(client, explored, first, facts):

@@ -16,7 +16,10 @@ from imubayes.results.folder_files import MANIFEST
 from imubayes.results.result import read_result
 from imubayes_explorer.calibration import calibration_facts
 from imubayes_explorer.open_model import opened, told, weighed
+from imubayes_explorer.session import Session
+from imubayes_explorer.session_state import id_of
 from imubayes_explorer.start import explore
+from imubayes_explorer.worker import TaskOutcome
 
 HIDDEN = "gyro_scale_asymmetry"
 
@@ -94,6 +97,24 @@ def test_a_diagnosis_that_the_folder_holds_is_shown_and_not_made_again(apart, ex
     monkeypatch.setattr(type(explained), "diagnosis", lambda _: pytest.fail("made again"))
     assert told(found, weighed(found, lambda _: None, lambda _: None)).told is found.told
     assert file.stat().st_mtime_ns == before
+
+
+def test_a_result_that_is_being_fitted_is_not_opened_beside(apart):
+    """The page asks for it as soon as the folder is there: the fit at work opens it, and nothing is weighed twice."""
+    session, go = Session(apart), threading.Event()
+
+    def fits(_tell):
+        go.wait(60)
+        return TaskOutcome("")
+
+    session.worker.submit("fit", "fit", "", fits)
+    try:
+        assert session.get(id_of(str(apart))) is None
+        assert [each.kind for each in session.worker.tasks] == ["fit"]
+    finally:
+        go.set()
+        session.close()
+        assert session.worker.stop(60)
 
 
 def test_a_diagnosis_of_another_result_is_not_shown(apart):

@@ -174,9 +174,9 @@ def test_help_tour_theme_and_what_is_known(fresh):
     fresh.press(Keys.ESCAPE)
     fresh.press("t")
     for step in range(1, 10):
-        fresh.wait(f"document.querySelector('#dialog-title').textContent.startsWith('{step} of 9')")
+        fresh.wait(f"document.querySelector('#tour-title').textContent.startsWith('{step} of 9')")
         fresh.press(Keys.ENTER)
-    fresh.wait("!document.querySelector('#dialog').open")
+    fresh.wait("!document.querySelector('#tour')")
     before = fresh.run("getComputedStyle(document.body).backgroundColor")
     fresh.press("d")
     assert fresh.run("getComputedStyle(document.body).backgroundColor") != before
@@ -185,8 +185,37 @@ def test_help_tour_theme_and_what_is_known(fresh):
     fresh.wait("document.querySelector('#tab-panel').textContent.includes('Weakly determined combinations')")
     field = fresh.driver.find_element(By.CSS_SELECTOR, "#tab-panel input[list]")
     field.send_keys("scale_factor[gz]", Keys.ENTER)
-    fresh.wait("document.querySelector('#tab-panel .densities')")
+    fresh.wait("document.querySelector('#corner .posterior')")
     fresh.press(Keys.ESCAPE)
+
+
+def test_the_tour_stands_beside_its_panel_and_waits_for_a_brush(fresh):
+    """Each step leaves its panel free; a selection and a preview of one's own take it on, and the focus stays there."""
+    overlap = (
+        "((one, other) => Math.min(one.right, other.right) > Math.max(one.left, other.left) + 1"
+        " && Math.min(one.bottom, other.bottom) > Math.max(one.top, other.top) + 1)"
+        "(document.querySelector('#tour').getBoundingClientRect(),"
+        " document.querySelector('.toured').getBoundingClientRect())"
+    )
+    fresh.press("t")
+    for step in range(1, 4):
+        fresh.wait(f"document.querySelector('#tour-title').textContent.startsWith('{step} of 9')")
+        assert not fresh.run(overlap)
+        fresh.press(Keys.ENTER)
+    fresh.wait("document.querySelector('#tour-title').textContent.startsWith('4 of 9')")
+    assert fresh.text("#tour-next") == "skip"
+    fresh.click('[data-key="cell-rate-z-up-gz"]')
+    fresh.wait("document.querySelector('#tour-title').textContent.startsWith('5 of 9')")
+    assert fresh.run("document.activeElement.dataset.key") == "cell-rate-z-up-gz"
+    fresh.click("#tour-next")
+    fresh.wait("document.querySelector('#tour-title').textContent.startsWith('6 of 9')")
+    assert not fresh.run(overlap)
+    fresh.click(f'[id="tick-{HIDDEN}"]')
+    fresh.wait("document.querySelector('#tour-title').textContent.startsWith('7 of 9')")
+    fresh.run("(document.querySelector('#tour-next').focus(), null)")
+    fresh.press(Keys.ESCAPE)
+    fresh.wait("!document.querySelector('#tour') && !document.querySelector('.toured')")
+    assert fresh.view()["ticked"] == [HIDDEN]  # Escape ended the tour alone
 
 
 def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored, first):
@@ -222,7 +251,7 @@ def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored, 
     assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
     # The name is completed, which draws the panel anew: what was unfolded stays so.
     field.send_keys("tor[gz]", Keys.ENTER)
-    fresh.wait("document.querySelector('#tab-panel .densities')")
+    fresh.wait("document.querySelector('#corner .posterior')")
     assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
 
 

@@ -247,7 +247,7 @@ def test_all_estimates_are_listed_with_and_without_a_preview(fresh):
     fresh.click(f'[id="tick-{HIDDEN}"]')
     fresh.wait("document.querySelectorAll('#calibration th').length === 7")
     assert fresh.run("document.querySelectorAll('#calibration tbody tr').length") == count
-    assert fresh.run("document.querySelector('#calibration tbody tr td:last-child').textContent").endswith(" sd")
+    assert fresh.run("document.querySelector('#calibration tbody tr [data-label=shift]').textContent").endswith(" sd")
     fresh.press(Keys.ESCAPE)
 
 
@@ -332,8 +332,8 @@ def test_effects_of_one_name_say_their_channels(fresh):
     assert names == ["remove gyro_bias of gx, gy", "remove gyro_bias of gz", "remove accel_bias"]
 
 
-def test_a_brush_of_a_large_campaign_is_drawn_within_a_third_of_a_second(fresh):
-    """336 runs of six channels: cells are changed in place, and keep the focus."""
+def test_a_brush_of_a_large_campaign_changes_cells_in_place(fresh):
+    """336 runs of six channels: no cell is made anew, and the focus stays; benchmarks/explore.py measures the time."""
     many = (
         "import('./page/state.js').then(({ tell, told }) => {"
         "const runs = Array.from({ length: 336 }, (_, n) => `run-${n}`);"
@@ -343,15 +343,9 @@ def test_a_brush_of_a_large_campaign_is_drawn_within_a_third_of_a_second(fresh):
     )
     fresh.run(f"({many}, null)")
     fresh.wait("document.querySelectorAll('.cell').length === 2016")
-    fresh.run("(window.first = document.querySelector('.cell'), first.focus(), null)")
-    times = [
-        fresh.driver.execute_async_script(
-            "const done = arguments[1], from = performance.now();"
-            "document.querySelectorAll('.cell')[arguments[0]].click();"
-            "requestAnimationFrame(() => setTimeout(() => done(performance.now() - from)));", 100 * place,
-        )
-        for place in range(1, 8)
-    ]  # fmt: skip
-    assert sorted(times)[3] < 300
+    fresh.run("(window.every = [...document.querySelectorAll('.cell')], window.first = every[0], first.focus(), null)")
+    for place in range(1, 8):
+        fresh.run(f"(every[{100 * place}].click(), null)")
+        fresh.wait(f"every[{100 * place}].classList.contains('marked')")
     assert fresh.run("document.querySelectorAll('.cell.marked').length") == 1
-    assert fresh.run("first.isConnected && document.activeElement === first")
+    assert fresh.run("every.every((cell) => cell.isConnected) && document.activeElement === first")

@@ -134,7 +134,7 @@ def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, t
         try:
             done = client.json("state")
             ended(process)
-            page.wait("document.querySelector('#notice').textContent.includes('The server is gone')")
+            page.wait("document.querySelector('#notice').textContent.includes('The server has stopped')")
         finally:
             page.close()
         process, address = served(root)
@@ -190,7 +190,10 @@ class Counted:
 
 
 def test_select_fit_and_undo_are_four_gestures(two, capsys):
-    """The walk of pintk: drag over residuals, tick what is fitted, Fit, Undo: as many as here."""
+    """The walk of pintk: drag over residuals, tick a parameter, `Fit`, `Revert`: as many as here.
+
+    Its window (src/pint/pintk/plk.py of PINT) has these buttons; no times of it are published.
+    """
     page, first = at_the_root(two), root_of(two)
     try:
         walk = Counted(page)
@@ -214,7 +217,11 @@ def test_select_fit_and_undo_are_four_gestures(two, capsys):
 
 
 def test_the_next_best_model_is_taken_in_two_clicks_and_seen_beside_the_one_before_by_a_third(two, capsys):
-    """The walk of Monolix: the model that is proposed is applied, run, and compared with the one before."""
+    """The walk of Monolix: the model that is proposed is applied, run, and compared with the one before.
+
+    Its documentation describes the section `Proposal` of the results and the play button, and counts neither clicks nor
+    seconds.
+    """
     page = at_the_root(two)
     try:
         walk = Counted(page)

@@ -26,7 +26,7 @@ from imubayes.display.classical_comparison import (
     of_prediction,
 )
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
-from imubayes.display.figure_style import Picture, ordered
+from imubayes.display.figure_style import Picture
 from imubayes.display.fit_cautions import alarm_of, disagreement_lines
 from imubayes.display.fit_quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.fit_report import summary_html
@@ -35,6 +35,7 @@ from imubayes.display.loop.kept_causes import causes_of
 from imubayes.display.named_covariate import named_covariate
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.residual_columns import ordered
 from imubayes.foundations import wording
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
 from imubayes.foundations.files import write_json, write_text

@@ -7,11 +7,12 @@ import numpy as np
 import polars as pl
 
 from imubayes.display import figures
-from imubayes.display.figure_style import MOST_PANELS, Picture, covariates_of, numbers, ordered, varies
+from imubayes.display.figure_style import MOST_PANELS, Picture
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.fit_cautions import worst_first
 from imubayes.display.named_covariate import OBSERVED
+from imubayes.display.residual_columns import covariates_of, numbers, ordered, varies
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import INPUTS, Covariate
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of, name_of

@@ -1,12 +1,11 @@
-"""The common style of all figures: frame, panels, legends, columns of the residuals, and the signs of the runs.
+"""The common style of all figures: frame, panels, legends, and the signs of the runs.
 
 The title stands above a figure, the caption below.  Panels are placed in inches: constrained layout would draw every
 figure twice.
 
-Residuals are read column by column as arrays and names; covariates are those that vary in them.  Runs are told apart by
-the hue, which stands for the mounting, and by the marker, which stands for the temperature.  The hues are told apart by
-readers with normal vision, protanopia, deuteranopia and tritanopia: CIE 1976 colour difference of at least 22 in each
-simulation of Machado, Oliveira and Fernandes (2009).
+Runs are told apart by the hue, which stands for the mounting, and by the marker, which stands for the temperature.
+The hues are told apart by readers with normal vision, protanopia, deuteranopia and tritanopia: CIE 1976 colour
+difference of at least 22 in each simulation of Machado, Oliveira and Fernandes (2009).
 """
 
 import textwrap
@@ -28,50 +27,14 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from imubayes.display.numbers_and_labels import covariates, shortened
-from imubayes.foundations.covariates import COVARIATES, Covariate
+from imubayes.display.numbers_and_labels import shortened
+from imubayes.display.residual_columns import temperature_levels
 from imubayes.foundations.files import replacing
-
-
-def numbers(frame: pl.DataFrame, column: str) -> np.ndarray:
-    """Return a column as float64, NaN where it is null or not there at all."""
-    if column not in frame.columns:
-        return np.full(frame.height, np.nan)
-    return frame.get_column(column).cast(pl.Float64).to_numpy().astype(np.float64)
-
-
-def varies(values: np.ndarray) -> bool:
-    """Tell whether there are at least two different finite values."""
-    finite = values[np.isfinite(values)]
-    return finite.size > 1 and bool(np.ptp(finite) > 1e-9 * np.max(np.abs(finite)))
-
-
-NORMAL = 1.959964
-"""97.5 % point of the standard normal."""
-
-
-def band(residuals: pl.DataFrame) -> np.ndarray:
-    """Return half the width of the 95 % band of each output, noise and model together, (E,), output units."""
-    return NORMAL * np.hypot(numbers(residuals, "sd"), np.nan_to_num(numbers(residuals, "model_sd")))
-
-
-def covariates_of(residuals: pl.DataFrame) -> list[Covariate]:
-    """Return the covariates that the data have, those that vary."""
-    return [known for known in covariates() if varies(numbers(residuals, known.column))]
-
-
-def ordered(residuals: pl.DataFrame, column: str) -> list[str]:
-    """Return the distinct names of a column in order of appearance."""
-    return residuals.get_column(column).unique(maintain_order=True).to_list()
-
 
 HUES = ("#0072b2", "#d55e00", "#56b4e9", "#7a3b00", "#8c8c8c", "#332288")
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 _STYLES = 2 * len(HUES)
 """Filled and open markers of each hue."""
-_ALIKE, _RAMP = 5.0, 8.0
-"""Temperatures of one level differ by less, those of a ramp by more; degrees Celsius."""
-_MOST_LEVELS = 5
 
 
 @dataclass(frozen=True)
@@ -162,27 +125,6 @@ def _text(residuals: pl.DataFrame, column: str) -> dict[str, str]:
         return {}
     found = residuals.group_by("run").agg(pl.col(column).first())
     return {run: text for run, text in found.iter_rows() if text is not None}
-
-
-def temperature_levels(residuals: pl.DataFrame) -> dict[str, str]:
-    """Return the temperature level of each run, "−40 °C" or "ramp"; nothing for runs that recorded none."""
-    columns = [COVARIATES[name].column for name in ("temperature", "converter_temperature")]
-    known = [pl.col(column) for column in columns if column in residuals.columns]
-    if not known:
-        return {}
-    own = pl.coalesce(known)
-    table = residuals.group_by("run").agg(own.median().alias("middle"), (own.max() - own.min()).alias("range"))
-    table = table.drop_nulls().filter(pl.col("middle").is_finite()).sort("middle")
-    ramps = dict.fromkeys(table.filter(pl.col("range") > _RAMP)["run"].to_list(), "ramp")
-    steady = table.filter(pl.col("range") <= _RAMP)
-    if steady.is_empty():
-        return ramps
-    middle = steady["middle"].to_numpy()
-    level = np.cumsum(np.diff(middle, prepend=middle[0]) > _ALIKE)
-    if level[-1] >= _MOST_LEVELS:
-        return ramps
-    names = [f"{np.mean(middle[level == place]):.0f} °C".replace("-", "−") for place in level]
-    return ramps | dict(zip(steady["run"].to_list(), names, strict=True))
 
 
 def _level_order(level: str) -> tuple[bool, float, str]:

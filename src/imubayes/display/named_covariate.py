@@ -8,7 +8,7 @@ from pathlib import Path
 
 import polars as pl
 
-from imubayes.display.figure_style import covariates_of
+from imubayes.display.residual_columns import covariates_of
 from imubayes.foundations.covariates import COVARIATES, INPUTS, Covariate
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record

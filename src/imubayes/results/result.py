@@ -4,6 +4,7 @@ This includes the residuals in output and input units, with every covariate, whi
 at, and the posterior as an ArviZ tree.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,8 @@ from imubayes.foundations.covariates import shown
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.records import Presented
 from imubayes.foundations.units import to_si
+from imubayes.inference.candidate_runs import NextRun
+from imubayes.inference.experiment_design import best_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
@@ -259,6 +262,30 @@ class Result(Presented):
         if name in self.quantities:
             return self.quantities[name]
         raise KeyError(f"no quantity '{name}'; there are {closest_first(name, list(self.quantities))}")
+
+    def next_runs(self, names: Sequence[str]) -> tuple[NextRun, ...]:
+        """Return the run that would narrow each named quantity most: expected standard deviation before and after it.
+
+        `summary.next_runs` has the same for what the runs left open. The candidates are the runs that the equipment of
+        the campaign allows. A quantity that none of them narrows by at least a tenth has no entry.
+
+        Parameters
+        ----------
+        names : parameters or derived quantities, as in the summary.
+
+        Raises
+        ------
+        InputError
+            for a name that the result does not have, for a fit that did not converge, and as for `fit`.
+        """
+        for name in names:
+            if name not in self.quantities:
+                raise input_error(f"no quantity '{name}'", "names", closest_first(name, list(self.quantities)),
+                                  "choose one of these")  # fmt: skip
+        if self.summary.log_evidence is None:
+            raise input_error("the fit did not converge", str(self.folder or "this fit"), "a fit that converged",
+                              self.summary.message or "fit again")  # fmt: skip
+        return best_runs(self.fit, list(dict.fromkeys(names)))
 
     def _ipython_key_completions_(self) -> list[str]:
         return list(self.quantities)

@@ -8,14 +8,14 @@ import { show, told, view } from "./state.js";
 const TABS = { models: "Models", estimates: "Estimates", knowledge: "What is known", commands: "Commands" };
 const panel = el("div", { role: "tabpanel", id: "tab-panel" }), head = el("div", { class: "head" });
 
-// How a tab is drawn, and what is told that it shows: nothing else draws it anew, under what is typed or folded there.
+// How a tab is drawn, and what it shows of the view and of what is told: nothing else draws it anew, under what is typed or folded there.
 const DRAWN = {
-  models: [models, "facts", "kept"], estimates: [drawEstimates, "facts", "preview"], knowledge: [drawKnowledge, "facts"], commands: [commands, "facts", "kept"],
+  models: [models, "facts", "kept"], estimates: [drawEstimates, "facts", "preview"], knowledge: [drawKnowledge, "facts", "quantities"], commands: [commands, "facts", "kept"],
 };
 
 export function drawTab(actions, seen, heard) {
   const [draw, ...shown] = Object.hasOwn(DRAWN, view.tab) ? DRAWN[view.tab] : DRAWN.models;
-  if (shown.some((name) => heard.includes(name)) || seen.includes("tab") || seen.includes("model")) draw(panel, actions);
+  if (shown.some((name) => heard.includes(name) || seen.includes(name)) || seen.includes("tab") || seen.includes("model")) draw(panel, actions);
 }
 
 export function drawBelow(place, actions) {

@@ -47,7 +47,7 @@ export class Beside {
     if (before?.of !== view.model) return null;
     // What is selected is selected in both: a brush of residuals is meant of those that are shown.
     const marked = before.points.head.count === told.points.head.count ? told.points.marked : before.points.marked;
-    return { points: { ...before.points, marked }, y: before.points.y, title: `of the model before, ${before.title}`, later: false };
+    return { points: { ...before.points, marked }, y: before.points.y, title: "of the model before", model: before.title, later: false };
   }
 
   show(other, ranges, head) {
@@ -56,7 +56,8 @@ export class Beside {
     this.place.parentElement.className = view.beside ? `pair two ${other?.later ? "later" : ""}` : "pair";
     if (!view.beside) return;
     this.title.textContent = other ? `residual ${other.title}` : told.before?.waiting ? "The previous model is being opened." : "There is no previous model: preview a cause to see its residuals here.";
-    this.place.setAttribute("aria-label", other ? `Residuals of ${view.channel} ${other.title}: ${other.points.head.of} readings, on the same axes.` : this.title.textContent);
+    this.title.title = other?.model ?? "";
+    this.place.setAttribute("aria-label", other ? `Residuals of ${view.channel} ${other.title}${other.model ? `, ${other.model}` : ""}: ${other.points.head.of} readings, on the same axes.` : this.title.textContent);
     this.chart.show(ranges, head.x_label, head.y_label);
   }
 

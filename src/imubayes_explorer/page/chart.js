@@ -15,6 +15,11 @@ export function extent(values, least = 0) {
   return [Math.min(low - room, -least || low - room), Math.max(high + room, least || high + room)];
 }
 
+// A label that is longer than its axis would be cut; what is drawn stands above the panel as well.
+function fitting(label, room) {
+  return label && 6 * label.length <= room ? label : "";
+}
+
 export class Chart {
   // `onBrush` gets the rectangle in the units of the axes, and whether it is added to others; `places` returns where the
   // points are, `onPoint` and `onPick` get the one that is pointed at or clicked, `onZoom` another range of the abscissa.
@@ -37,7 +42,7 @@ export class Chart {
       cursor: { points: { show: false }, drag: { x: false, y: false, setScale: false }, focus: { prox: -1 } },
       select: { show: true, left: 0, top: 0, width: 0, height: 0 },
       scales: { x: { time: false, range: () => this.ranges.x }, y: { range: () => this.ranges.y } },
-      axes: [{ ...axis, size: 30, label: this.xLabel || "", space: 60, values: (_, splits) => ticks(splits) }, { ...axis, size: 66, label: this.yLabel || "", space: 26, values: (_, splits) => ticks(splits) }],
+      axes: [{ ...axis, size: 30, label: this.xLabel || "", space: 60, values: (_, splits) => ticks(splits) }, { ...axis, size: 72, label: (u) => fitting(this.yLabel, u.over.clientHeight + 24), space: 26, values: (_, splits) => ticks(splits) }],
       series: [{}, { paths: () => null, points: { show: false } }],
       hooks: { draw: [(u) => this.paint(u)] },
     }, [[0, 1], [0, 1]], this.place);

@@ -27,13 +27,14 @@ export function drawEstimates(panel, actions) {
   const first = shown.filter((line) => Math.abs(shift(line)) >= LEAST).sort((one, other) => Math.abs(shift(other)) - Math.abs(shift(one)));
   const rest = shown.filter((line) => !first.includes(line));
   const compared = preview || before;
-  const head = ["estimate", "sd", "unit", "from data", ...(preview ? [preview.refitted ? "after the refit" : "with the preview", "shift"] : before ? ["before", "sd before", "shift"] : [])];
+  const head = ["estimate", "sd", "unit", ...(preview ? [preview.refitted ? "after the refit" : "with the preview", "shift"] : before ? ["before", "shift"] : []), "from data"];
   const row = (line) => el("tr", { class: line.weak ? "quiet" : "" },
     el("td", { class: "left" }, line.name), el("td", { "data-label": "estimate" }, minus(line.estimate)), el("td", { "data-label": "sd" }, line.sd),
-    el("td", { class: "left", "data-label": "unit" }, line.unit), el("td", { "data-label": "from data" }, line.from_data),
+    el("td", { class: "left unit", "data-label": "unit" }, line.unit),
     preview ? el("td", { "data-label": "after" }, minus(moved.get(line.name)?.after ?? line.estimate)) : null,
-    !preview && before ? [el("td", { "data-label": "before" }, minus(line.before) || "–"), el("td", { "data-label": "sd before" }, line.before_sd || "–")] : null,
-    compared ? el("td", { "data-label": "shift", class: shift(line) > 0 ? "up" : shift(line) < 0 ? "down" : "" }, shiftWords(line, preview, moved)) : null);
+    !preview && before ? el("td", { "data-label": "before" }, line.before ? `${minus(line.before)} ± ${line.before_sd}` : "–") : null,
+    compared ? el("td", { "data-label": "shift", class: shift(line) > 0 ? "up" : shift(line) < 0 ? "down" : "" }, shiftWords(line, preview, moved)) : null,
+    el("td", { "data-label": "from data" }, line.from_data));
   fill(panel,
     el("div", { class: "row" }, el("label", {}, "names with ", el("input", { "data-key": "sought", id: "sought", value: sought, size: 20, oninput: (event) => { sought = event.target.value; drawEstimates(panel, actions); } })),
       el("span", { class: "quiet" }, `${shown.length} of ${lines.length} estimates${before && !preview ? `; before: ${before}` : ""}${preview && !preview.refitted ? `; preview: ${preview.effects.join(", ")}` : ""}${compared ? "; those that moved most first" : ""}`)),

@@ -205,7 +205,7 @@ function switchTheme() {
 
 function tools() {
   fill(place("tools"),
-    el("button", { id: "open-tour", onclick: () => tour(dialog) }, "tour"),
+    el("button", { id: "open-tour", onclick: tour }, "tour"),
     el("button", { id: "open-help", onclick: () => helpDialog(dialog), title: "key ?" }, "keys"),
     el("button", { id: "open-theme", onclick: switchTheme, title: "key d" }, "light / dark"));
 }
@@ -214,7 +214,7 @@ const channels = () => told.facts?.channels ?? [view.channel], covariates = () =
 const turnX = (step) => show({ x: next(covariates(), view.x, step), between: null, brushes: view.brushes.filter((brush) => !brush.x) });
 
 listenToKeys({
-  "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
+  "?": () => helpDialog(dialog), t: tour, d: switchTheme,
   h: fold, m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
   c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export, g: () => actions.picture("svg"), G: () => actions.picture("png"), s: actions.aside,
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),

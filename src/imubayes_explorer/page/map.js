@@ -33,7 +33,7 @@ function build(place, facts) {
   const head = el("tr", {}, el("th", { class: "run" }, "run"), facts.channels.map((channel) => el("th", {},
     el("button", { "data-key": `channel-${channel}`, onclick: () => show({ channel, brushes: [{ channels: [channel], runs: [] }] }), title: `select channel ${channel}` }, channel))));
   const rows = facts.runs.map((run) => el("tr", {},
-    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, facts.runs.length > 24 ? 14 : 18))),
+    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, facts.runs.length > 24 ? 12 : 18))),
     facts.channels.map((channel) => el("td", {}, known.get(JSON.stringify([run, channel])) ?? null))));
   const table = el("table", { onkeydown: walk }, el("thead", {}, head), el("tbody", {}, rows)), scale = el("div"), note = el("p", { class: "aside quiet" });
   drawn = { facts, table, scale, note, look: [], cells: facts.cells.map((cell, at) => [cell, buttons[at]]) };

@@ -23,7 +23,7 @@ export function drawPoints(context, at, points, y, faint) {
       const { colour, shape: kind } = sign(place);
       context.beginPath();
       for (const k of members) if (chosen === null || Boolean(points.marked[k]) === chosen) shape(context, kind, at.x(points.x[k]), at.y(y[k]), size);
-      context.globalAlpha = (chosen === false ? 0.28 : 0.9) * (faint ? 0.45 : 1);
+      context.globalAlpha = chosen === false ? 0.28 : faint ? 0.4 : 0.9;
       context.fillStyle = colour;
       context.fill();
       if (chosen) {

@@ -39,7 +39,7 @@ function axis(chart, ratio, group) {
   }));
   group.append(element("rect", { x: left, y: top, width, height, fill: "none", stroke: css("--line") }),
     element("text", { ...quiet, x: left + width / 2, y: top + height + 32 * ratio, "text-anchor": "middle" }, chart.xLabel),
-    element("text", { ...quiet, transform: `translate(${left - 54 * ratio} ${top + height / 2}) rotate(-90)`, "text-anchor": "middle" }, chart.yLabel));
+    element("text", { ...quiet, transform: `translate(${left - 62 * ratio} ${top + height / 2}) rotate(-90)`, "text-anchor": "middle" }, chart.yLabel));
 }
 
 export function asSvg(charts) {

@@ -1,6 +1,6 @@
 // The view of this window, which its address holds, and what the server has told; panels only read it.
 
-const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false, beside: false };
+const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false, beside: false, quantities: [] };
 
 export const view = { ...FIRST, ...fromAddress() };
 export const told = {

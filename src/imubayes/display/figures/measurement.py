@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from imubayes.display import figure_style as style
+from imubayes.display import residual_columns
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate, pretty, readable
 from imubayes.foundations.covariates import Covariate, shown
@@ -38,13 +39,15 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
     """
     recorded = residuals.filter(pl.col("run") == run)
     if recorded.is_empty():
-        raise ValueError(f"no residuals of run '{run}'; there are {', '.join(style.ordered(residuals, 'run'))}")
+        raise ValueError(
+            f"no residuals of run '{run}'; there are {', '.join(residual_columns.ordered(residuals, 'run'))}"
+        )
     names, left_out = panels.chosen_channels(recorded, channels)
     recorded = recorded.filter(pl.col("channel").is_in(names))
     against = driver(recorded)
     columns = min(len(names), 3)
     lines = -(-len(names) // columns)
-    x_all, label = panels.abscissa(style.numbers(recorded, against.column), against)
+    x_all, label = panels.abscissa(residual_columns.numbers(recorded, against.column), against)
     procedure, phrase = _procedure(recorded), against.phrase
     if against.column == "row" and procedure.row_name != "row":
         phrase = label = procedure.row_name
@@ -77,8 +80,8 @@ def driver(recorded: pl.DataFrame) -> Covariate:
     keys = (*_procedure(recorded).abscissae, *(each.name for each in shown()))
     for key in dict.fromkeys(keys):
         known = covariate(key)
-        values = style.numbers(recorded, known.column)
-        if key == "row" or (style.varies(values) and np.isfinite(values).mean() > 0.9):
+        values = residual_columns.numbers(recorded, known.column)
+        if key == "row" or (residual_columns.varies(values) and np.isfinite(values).mean() > 0.9):
             return known
     return covariate("row")
 
@@ -88,8 +91,8 @@ def _procedure(recorded: pl.DataFrame) -> Procedure:
 
 
 def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
-    observed, predicted = style.numbers(own, "observed"), style.numbers(own, "predicted")
-    wide = style.band(own)
+    observed, predicted = residual_columns.numbers(own, "observed"), residual_columns.numbers(own, "predicted")
+    wide = residual_columns.band(own)
     order = np.argsort(x, kind="stable")
     band = ((predicted - wide)[order], (predicted + wide)[order])
     axes.fill_between(x[order], *band, color=style.BAND_WIDE, linewidth=0, zorder=1)
@@ -121,16 +124,16 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
 
 def _residual(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     """Draw residual and bands in input units; the factor to input units is that of the row itself."""
-    y, sd, output_sd = (style.numbers(own, name) for name in ("input_residual", "input_sd", "sd"))
+    y, sd, output_sd = (residual_columns.numbers(own, name) for name in ("input_residual", "input_sd", "sd"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        model = style.numbers(own, "model_sd") * np.where(output_sd > 0, sd / output_sd, np.nan)
+        model = residual_columns.numbers(own, "model_sd") * np.where(output_sd > 0, sd / output_sd, np.nan)
     factor, unit = readable(own["input_unit"][0] or "", float(np.nanmedian(sd)))
     y, sd, model = y * factor, sd * factor, np.nan_to_num(model * factor)
     order = np.argsort(x, kind="stable")
     low, high = axes.get_xlim()
     place = np.concatenate([[low], x[order], [high]])
-    wide = style.NORMAL * np.hypot(sd, model)
-    for half, colour in ((wide[order], style.BAND_WIDE), (style.NORMAL * model[order], _MODEL_BAND)):
+    wide = residual_columns.NORMAL * np.hypot(sd, model)
+    for half, colour in ((wide[order], style.BAND_WIDE), (residual_columns.NORMAL * model[order], _MODEL_BAND)):
         half = np.concatenate([half[:1], half, half[-1:]])
         axes.fill_between(place, -half, half, color=colour, linewidth=0, zorder=1)
     axes.axhline(0, color=style.VERMILION, linewidth=1.0, zorder=1.5)

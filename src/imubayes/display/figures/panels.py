@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter, SymmetricalLogLocator
 
-from imubayes.display.figure_style import INK, MOST_PANELS, ordered
+from imubayes.display.figure_style import INK, MOST_PANELS
 from imubayes.display.numbers_and_labels import pretty, readable
+from imubayes.display.residual_columns import ordered
 from imubayes.foundations.covariates import Covariate
 
 # Ratio of the largest to the smallest rate beyond which a linear axis would crowd the small ones.

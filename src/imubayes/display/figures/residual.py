@@ -13,6 +13,7 @@ from matplotlib.patches import Patch, Rectangle
 from imubayes.display import figure_style as style
 from imubayes.display import fit_cautions as cautions
 from imubayes.display import numbers_and_labels as numbers
+from imubayes.display import residual_columns
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate as covariate_of
 from imubayes.foundations.covariates import Covariate
@@ -50,9 +51,9 @@ def residual_figure(
     counted = residuals.filter(pl.col("channel").is_in(names))
     if against.column == "row":
         counted = panels.row_numbers(counted)
-    x_all = style.numbers(counted, against.column)
+    x_all = residual_columns.numbers(counted, against.column)
     known = np.isfinite(x_all)
-    if not style.varies(x_all):
+    if not residual_columns.varies(x_all):
         raise ValueError(f"the residuals have no {against.phrase} that varies")
     x_all, label = panels.abscissa(x_all, against)
     groups = "runs" if against.column == "row" else "neighbouring points"
@@ -77,7 +78,7 @@ def residual_figure(
 
 
 def _in_input_units(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns) -> None:
-    y, sd = style.numbers(own, "input_residual"), style.numbers(own, "input_sd")
+    y, sd = residual_columns.numbers(own, "input_residual"), residual_columns.numbers(own, "input_sd")
     factor, unit = numbers.readable(own["input_unit"][0] or "", float(np.nanmedian(np.abs(sd))))
     _bands(axes, x, sd * factor)
     _points(axes, x, y * factor, own, signs, 3.2 * float(np.nanmedian(sd * factor)), numbers.pretty(unit))
@@ -85,7 +86,7 @@ def _in_input_units(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.R
 
 
 def _whitened(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns, by_run: bool) -> None:
-    y = style.numbers(own, "whitened")
+    y = residual_columns.numbers(own, "whitened")
     for width, colour in ((2, style.BAND_WIDE), (1, style.BAND)):
         axes.axhspan(-width, width, color=colour, linewidth=0, zorder=1)
     _points(axes, x, y, own, signs, 3.5, "sd")

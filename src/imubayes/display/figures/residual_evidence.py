@@ -19,6 +19,7 @@ from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display import figure_style as style
+from imubayes.display import residual_columns
 from imubayes.display.figures.panels import draw_means, limit_of, set_range, thinned
 from imubayes.display.numbers_and_labels import pretty, readable, shortened, significant, value_and_sd
 from imubayes.foundations.covariates import INPUTS, Covariate, shown
@@ -349,7 +350,7 @@ def before_after(
     if within:
         before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
     if named is not None and named.name in INPUTS.values() and "input_observed" in own.columns:
-        followed = FollowedCovariate(style.numbers(own, "input_observed"), _label(named))
+        followed = FollowedCovariate(residual_columns.numbers(own, "input_observed"), _label(named))
     else:
         followed = followed_covariate(own, before_own - after_own, named.name if named is not None else None)
     return before_after_figure(
@@ -365,10 +366,10 @@ def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None 
     change over the input follows a covariate clearly better than the change itself follows any, that one is returned
     with the input: a change of the scale factor with temperature, in rows of both signs of the input.
     """
-    stimulus = style.numbers(own, "input_observed")
+    stimulus = residual_columns.numbers(own, "input_observed")
     best, followed = _LEAST_SHARE, FollowedCovariate(np.arange(own.height, dtype=float), _BY_ROW)
     for covariate in shown():
-        x = style.numbers(own, covariate.column)
+        x = residual_columns.numbers(own, covariate.column)
         late = _TIME_LAST if covariate.si == "s" else 0.0
         shares = (_share(x, change) + (2.0 if covariate.column == named else 0.0), _share_of_ratio(x, change, stimulus))
         for share, over in ((shares[0], None), (shares[1] - _RATIO_LAST, stimulus)):

@@ -9,6 +9,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from imubayes.display import figure_style as style
+from imubayes.display import residual_columns
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import pretty, shortened
 from imubayes.foundations.errors import Issue, closest_first, refuse
@@ -96,7 +97,9 @@ def _rows(each: ParameterPopulation, units: pl.DataFrame) -> pl.DataFrame:
 
 
 def _panel(axes: Axes, each: ParameterPopulation, table: pl.DataFrame) -> None:
-    own, own_sd, value, sd = (style.numbers(table, name) for name in ("estimate", "estimate_sd", "shrunk", "shrunk_sd"))
+    own, own_sd, value, sd = (
+        residual_columns.numbers(table, name) for name in ("estimate", "estimate_sd", "shrunk", "shrunk_sd")
+    )
     place = np.arange(table.height)
     _bands(axes, each)
     colours = _colours(each, table)
