@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, DoubtedRun
+from imubayes.adequacy.adequacy_record import DoubtedRun
 from imubayes.adequacy.deletion_diagnostics import (
     LinearFit,
     WeightedFit,
@@ -29,6 +29,7 @@ from imubayes.adequacy.known_noise import largest_scatter
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
@@ -111,14 +112,12 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
     odds = np.array([each.log_odds for each in near])
     share = np.exp(odds - np.logaddexp.reduce(odds))
-    causes = [agreeing_input(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    causes = [wrong_record(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
     log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
     return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
 
 
-def agreeing_input(
-    fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
-) -> AgreeingInput:
+def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float) -> WrongRecord:
     """Return an error of the record in its unit.
 
     Parameters
@@ -132,12 +131,13 @@ def agreeing_input(
         # The estimate of the fit, which its summary states as well.
         places = list(wrong.parameters)
         farthest = int(np.argmax(np.abs(np.asarray(fitted.z)[places])))
-        return AgreeingInput(
+        return WrongRecord(
             form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
             agreeing=(float(fitted.z[places[farthest]]),), sd=(float(sd[farthest]),), probability=probability,
         )  # fmt: skip
     run = campaign.runs[wrong.run]
     recorded: float | None = None
+    kind = "" if wrong.channel is None else campaign.channels[wrong.channel].kind
     if wrong.form in ("exchange", "unit"):
         quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
         unit, recorded, factor = "1", 0.0, 1.0
@@ -156,7 +156,8 @@ def agreeing_input(
         channel = campaign.channels[wrong.channel or 0]
         quantity = _outputs(campaign, wrong)
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
-    return AgreeingInput(
+    return WrongRecord(
+        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind,
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,

@@ -15,6 +15,7 @@ from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wrong_records import WrongRecord
 
 Severity = Literal["error", "warning"]
 
@@ -106,6 +107,7 @@ class Finding:
     severity : ``error`` or ``warning``.
     run : name of the run.
     what, where, allowed, remedy : as in `Issue`.
+    record : what is wrong in the record of the run, where that is known; the likeliest.
 
     Examples
     --------
@@ -121,6 +123,7 @@ class Finding:
     where: str
     allowed: str
     remedy: str
+    record: WrongRecord | None = None
 
     def problem(self) -> Issue:
         """Return the finding as an issue."""

@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
+from imubayes.adequacy.adequacy_record import Disagreement
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
-from imubayes.adequacy.weighed_records import agreeing_input
+from imubayes.adequacy.weighed_records import wrong_record
 from imubayes.criticism import diagnosis_record as record
 from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
@@ -34,6 +34,7 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
@@ -84,13 +85,13 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> WrongRecord:
     """Return a wrong input in the unit of the record."""
     form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    return agreeing_input(fitted, _wrong(found), size, sd, share)
+    return wrong_record(fitted, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:

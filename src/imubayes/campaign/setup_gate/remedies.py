@@ -34,16 +34,14 @@ def _uncertainty(found: Explanation) -> str:
 
 
 def _zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake, subject, off = found.mistake, subject_of(found.mistake), _folded(-math.degrees(found.size))
-    what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
-    allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
-    if mistake.scope.section == "table":
-        zero = _folded(places.zero(mistake.scope.name) + off)
-        where = places.line("table", mistake.scope.name, "zero_angle_deg")
-        remedy = f"write zero_angle_deg = {zero:g} for table '{mistake.scope.name}'"
-        return Issue(what, where, allowed, remedy)
-    remedy = f"add {_folded(-off):+g} to column 'table_angle_deg' of {places.file(mistake.scope.name)}"
-    return Issue(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
+    table, off = found.mistake.scope.name, _folded(-math.degrees(found.size))
+    zero = _folded(places.zero(table) + off)
+    return Issue(
+        f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject_of(found.mistake)}",
+        places.line("table", table, "zero_angle_deg"),
+        "angles from the zero, at which the table axes are as azimuth and elevation say",
+        f"write zero_angle_deg = {zero:g} for table '{table}'",
+    )
 
 
 def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
@@ -300,19 +298,6 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
-def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    run = found.mistake.scope.name
-    large, digits = math.exp(-found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
-    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
-    return Issue(
-        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times that of the outputs, "
-        "relative to the other runs",
-        places.column(found.mistake, "table_rate_deg_s"),
-        "the rate that the table had in the run",
-        f"divide 'table_rate_deg_s' by {large:.{digits}f} in {places.file(run)}, or state the rate as it was measured",
-    )
-
-
 def _axis(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, seats.InputAxisWrong)
     channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes
@@ -341,7 +326,6 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = RECORD_R
     "axes_exchanged": _channels,
     "channel_unit": _gain,
     "rate_unit": _rate,
-    "table_rate": _rate_factor,
     "angle_unit": _unit,
     "time_shift": _time,
     "mounting_wrong": _matrix,

@@ -7,7 +7,7 @@ the others, a sentence states what would make it agree.
 import math
 from collections.abc import Iterable, Iterator
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement, NoiseComparison
+from imubayes.adequacy.adequacy_record import Disagreement, NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import (
@@ -19,8 +19,9 @@ from imubayes.criticism.explanation_records import (
     FoundNoise,
     FoundStep,
 )
-from imubayes.display.fit_cautions import agreement_text, contradiction_text, noise_ratio
+from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
+from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
@@ -145,7 +146,7 @@ def place_text(found: Disagreement) -> str:
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
 
 
-def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
+def _prior_sentence(best: WrongRecord, chance: str, adverb: str) -> str:
     return (
         f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
         f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
@@ -162,14 +163,13 @@ def _sentence(found: Disagreement, probability: float) -> str:
     best, *others = found.causes
     if best.form == "prior":
         return _prior_sentence(best, chance, adverb)
-    said += f" It would agree with {agreement_text(best, found.row)}."
+    said += f" It would agree with {agreement_text(best)}."
     if others:
-        said += (
-            f" It would agree as well with {'; or '.join(agreement_text(each, found.row) for each in others[:_MOST])}."
-        )
+        said += f" It would agree as well with {'; or '.join(agreement_text(each) for each in others[:_MOST])}."
     if found.instead:
         said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
-    return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
+    do = record_remedy(best)
+    return f"{said} {do[0].upper()}{do[1:]}; then fit again."
 
 
 _MOST_NAMED = 3
