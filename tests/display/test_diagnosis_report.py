@@ -117,8 +117,8 @@ def test_noise_that_the_model_lacks_is_what_to_add():
 @pytest.mark.parametrize(("row", "probability"), [(None, 0.998), (3, 0.62)])
 def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
     cause = WrongRecord(
-        form="offset", quantity="temperature_degC", unit="degC", recorded=20.0, agreeing=(25.13,), sd=(0.11,),
-        probability=0.9,
+        run="A", row=row, form="offset", quantity="temperature_degC", unit="degC", recorded=20.0, agreeing=(25.13,),
+        sd=(0.11,), probability=0.9,
     )  # fmt: skip
     other = replace_record(cause, form="factor", quantity="table_rate_deg_s", unit="1", recorded=1.0, agreeing=(1.1,))
     wrong = Disagreement(run="A", row=row, log_odds=40.0, causes=(cause, other), instead=("B",))
@@ -126,13 +126,15 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
     said = sentence(found)
     if row is None:
         assert said.startswith("Run A does not agree with the other runs. It would agree with temperature_degC about")
-        assert said.endswith("Correct the record, or leave the run out, and fit again.")
+        assert "Add +5.13 to column 'temperature_degC' of run 'A' if the record confirms it" in said
+        assert said.endswith("or leave the run out; then fit again.")
     else:
         assert said.startswith(
             "Row 3 of run A probably does not agree with the other rows (probability 0.62). It would"
         )
-        assert said.endswith("Correct the record, or leave the row out, and fit again.")
-    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11, all rows alike." in said
+        assert "Write 25.13 in column 'temperature_degC', row 3 of run 'A' if the record confirms it" in said
+        assert said.endswith("or leave the row out; then fit again.")
+    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11" in said
     assert "Alternatively the record of B is wrong." in said
 
 

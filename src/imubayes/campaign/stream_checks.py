@@ -71,6 +71,7 @@ FINDINGS: dict[str, str] = {
     "table_rate": "the rates of the table in a run are wrong by a factor",
     "row_disagrees": "angle or rate of the table in one row contradicts its outputs",
     "time_shift": "outputs and table are shifted in time",
+    "run_disagrees": "a run does not agree with the others under the model (`check --model`)",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "standard_errors": "deviations of raw samples are standard errors of their means",
     "samples_missing": "deviations of raw samples without the number of these",

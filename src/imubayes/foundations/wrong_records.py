@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from imubayes.foundations.number_text import pretty, significant, value_and_sd
 from imubayes.foundations.records import Record
 
@@ -56,7 +58,7 @@ ANGLE_UNITS = {
 """Units of angle in degrees."""
 
 
-def celsius(fahrenheit: float) -> float:
+def celsius[Number: (float, np.ndarray)](fahrenheit: Number) -> Number:
     """Return a temperature in °C from degrees Fahrenheit."""
     return (fahrenheit - 32) / 1.8
 

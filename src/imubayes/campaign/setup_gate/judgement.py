@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
-from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
 from imubayes.campaign.setup_gate.record_remedies import issue_of
@@ -21,7 +21,7 @@ from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_r
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
-from imubayes.foundations.wrong_records import agreement_text, record_remedy
+from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
 
 _STEPS = 3
 _TURNED_FAR = 30.0
@@ -129,12 +129,8 @@ def _explained(
     campaign: Campaign, equal: tuple[Explanation, ...], places: Places, accepted: tuple[str, ...]
 ) -> Finding:
     records = [each.mistake.wrong_record(campaign, each.size, each.uncertainty) for each in equal]
-    found: list[tuple[str, Issue]] = [
-        (
-            each.mistake.kind,
-            REMEDIES[each.mistake.kind](campaign, each, places) if record is None else issue_of(each, record, places),
-        )
-        for each, record in zip(equal, records, strict=True)
+    found = [
+        (each.mistake.kind, _words(campaign, each, record, places)) for each, record in zip(equal, records, strict=True)
     ]
     run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""
     first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
@@ -155,6 +151,13 @@ def _explained(
     return Finding(
         first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy, records[0]
     )  # fmt: skip
+
+
+def _words(campaign: Campaign, found: Explanation, record: WrongRecord | None, places: Places) -> Issue:
+    """Return a mistake in words: those of a wrong record, or of its kind; angles of a run are off by their zero."""
+    if record is None or found.mistake.kind == TableZero.kind:
+        return REMEDIES[found.mistake.kind](campaign, found, places)
+    return issue_of(found, record, places)
 
 
 def _stops(equal: tuple[Explanation, ...]) -> bool:

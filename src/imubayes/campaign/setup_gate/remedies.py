@@ -34,14 +34,16 @@ def _uncertainty(found: Explanation) -> str:
 
 
 def _zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    table, off = found.mistake.scope.name, _folded(-math.degrees(found.size))
-    zero = _folded(places.zero(table) + off)
-    return Issue(
-        f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject_of(found.mistake)}",
-        places.line("table", table, "zero_angle_deg"),
-        "angles from the zero, at which the table axes are as azimuth and elevation say",
-        f"write zero_angle_deg = {zero:g} for table '{table}'",
-    )
+    mistake, subject, off = found.mistake, subject_of(found.mistake), _folded(-math.degrees(found.size))
+    what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
+    allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
+    if mistake.scope.section == "table":
+        zero = _folded(places.zero(mistake.scope.name) + off)
+        where = places.line("table", mistake.scope.name, "zero_angle_deg")
+        remedy = f"write zero_angle_deg = {zero:g} for table '{mistake.scope.name}'"
+        return Issue(what, where, allowed, remedy)
+    remedy = f"add {_folded(-off):+g} to column 'table_angle_deg' of {places.file(mistake.scope.name)}"
+    return Issue(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
 
 
 def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
