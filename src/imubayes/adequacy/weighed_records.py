@@ -42,6 +42,11 @@ _SIGN = -2.0  # of a factor, what reverses the sign of a column
 _DOUBTED = 4
 """Runs that agree least with the others, whose records are weighed."""
 _ROUNDS, _REWEIGHED = 5, 3
+_FEWER, _LOG_COUNTS = 4.0, 4.0
+"""Least ratio of stated to true samples that is told, and the standard deviation of its logarithm beforehand."""
+_FEW_ROWS, _TYPICAL, _ALIKE = 6, 0.15, 6.0
+"""Rows of a channel that tell its scatter; least median over mean of their squares, 0.45 of white noise, below which
+single rows make it; and the largest ratio of mean squares between channels.  Convention: beyond chance in 12 rows."""
 _DISAGREES = math.log(0.005)
 """Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
 _TOLD, NEAR = 10.0, 3.0
@@ -95,6 +100,8 @@ def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
         )
         if len(campaign.runs) > 2:
             yield WrongInput(run, "unit")
+        if float(np.median(campaign.runs[run].samples)) > 1:
+            yield WrongInput(run, "samples")
     yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})
 
 
@@ -138,7 +145,11 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
     run = campaign.runs[wrong.run]
     recorded: float | None = None
     kind = "" if wrong.channel is None else campaign.channels[wrong.channel].kind
-    if wrong.form in ("exchange", "unit"):
+    if wrong.form == "samples":
+        recorded = float(np.median(run.samples))
+        # The size is a ratio.
+        quantity, unit, factor, size = "samples", "1", 1 / recorded, size - 1
+    elif wrong.form in ("exchange", "unit"):
         quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
         unit, recorded, factor = "1", 0.0, 1.0
     elif wrong.form.endswith("factor"):
@@ -181,6 +192,8 @@ class _Weighing:
         """Return an error of the record at its best size; None where it explains nothing."""
         if wrong.form == "unit":
             return self._of_other_unit(wrong)
+        if wrong.form == "samples":
+            return self._of_samples(wrong)
         if wrong.channel is not None:
             return self._of_one_output(wrong)
         z = np.asarray(self.fitted.z)
@@ -243,6 +256,37 @@ class _Weighing:
         response, weighted = self.stated.jacobian[:, own] * here, self.stated.weighted[:, own] * here
         return self._linearly(wrong, _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own))))
 
+    def _of_samples(self, wrong: WrongInput) -> WeighedRecord | None:
+        """Return that rows are means of fewer samples than stated: the noise of the run is larger by one ratio.
+
+        None where it is not white, or not alike on all channels: something else makes it.
+        """
+        here, ratio = self.stated.runs[wrong.run], 1.0
+        fit, evidence, squares = self._at_fewer_samples(here, ratio)
+        for _ in range(_ROUNDS):
+            ratio = len(here) / max(float(squares.sum()), float(np.finfo(float).tiny))
+            fit, evidence, squares = self._at_fewer_samples(here, ratio)
+        channel = self.stated.channel[here]
+        every = [own for k in np.unique(channel).tolist() if len(own := squares[channel == k]) >= _FEW_ROWS]
+        if not every or ratio > 1 / _FEWER or any(np.median(own) < _TYPICAL * np.mean(own) for own in every):
+            return None
+        means = np.array([own.mean() for own in every])
+        if means.max() > _ALIKE * means.min():
+            return None
+        sd = math.sqrt(2 / len(here))
+        evidence += 0.5 * len(here) * math.log(ratio) + math.log(min(sd / _LOG_COUNTS, 1.0))
+        size = np.array([ratio])
+        return WeighedRecord(
+            wrong, size, sd * size, self.fitted.z + fit.shift, evidence - self.as_recorded, agree(fit, self.largest)
+        )
+
+    def _at_fewer_samples(self, here: np.ndarray, ratio: float) -> tuple[WeightedFit, float, np.ndarray]:
+        """Return the fit with the precision of some entries times a ratio, its evidence, and their squares as known."""
+        linear = self.stated
+        fit, evidence = _evidence(_noisier(linear, here, ratio))
+        left = linear.misfit[here] - linear.jacobian[here] @ fit.shift
+        return fit, evidence, left * (linear.pulled[here] - linear.weighted[here] @ fit.shift)
+
     def _of_one_output(self, wrong: WrongInput) -> WeighedRecord:
         """Return what is wrong with one channel in a run, to which its outputs respond linearly."""
         campaign = self.model.campaign
@@ -261,6 +305,13 @@ class _Weighing:
         z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
         sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
         return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded, agree(fit, self.largest))
+
+
+def _noisier(linear: LinearFit, here: np.ndarray, ratio: float) -> LinearFit:
+    """Return a linear fit in which some entries have their precision times a ratio."""
+    weight = np.ones(len(linear.misfit))
+    weight[here] = ratio
+    return replace(linear, weighted=weight[:, None] * linear.weighted, pulled=weight * linear.pulled)
 
 
 def _beside(

@@ -22,7 +22,7 @@ from imubayes.criticism.detectability import AbsorbedResponses, Detectability, d
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior
-from imubayes.criticism.evidence.noise_structures import Family
+from imubayes.criticism.evidence.noise_structures import Family, RunNoise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
 from imubayes.criticism.formula_search import ResidualFormula, find_formula
@@ -45,6 +45,8 @@ from imubayes.responses.wrong_inputs import NO_RUN, WrongInput
 def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
     """Return the run, row or prior, as recorded, that is wrong in the leading explanation; else none."""
     campaign = fitted.model.campaign
+    if posterior.leading == "noise":
+        return _counts(posterior, fitted)
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
@@ -65,6 +67,24 @@ def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagre
             instead=tuple(others),
         ),
     )
+
+
+def _counts(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
+    """Return the run whose stated counts of samples the leading explanation contradicts."""
+    noise = [each.rows for each in posterior.top.hypothesis.noise if isinstance(each.rows, RunNoise)]
+    if not noise:
+        return ()
+    run, rows = noise[0].run, posterior.of.problem.of_channels
+    count = sum(length for each in rows for k, (_, length) in zip(each.runs, each.series, strict=True) if k == run)
+    ratio = np.array([noise[0].ratio ** -2])
+    cause = wrong_record(fitted, WrongInput(run, "samples"), ratio, ratio * np.sqrt(2 / count), 1.0)
+    stated = max(each.log_posterior for each in posterior.distinct if not _of_counts(each))
+    odds = float(posterior.top.log_posterior - stated)
+    return (Disagreement(run=cause.run, row=None, log_odds=odds, causes=(cause,)),)
+
+
+def _of_counts(found: Evaluated) -> bool:
+    return any(isinstance(each.rows, RunNoise) for each in found.hypothesis.noise)
 
 
 def _wrong(found: Evaluated) -> WrongInput:
@@ -305,7 +325,7 @@ class ExplainedFit:
     def _verdict(self) -> explanations.Verdict:
         if not self.fit.optimised:
             return "not_converged"
-        found = _VERDICTS[self.posterior.leading]
+        found = "run_disagrees" if _of_counts(self.posterior.top) else _VERDICTS[self.posterior.leading]
         certain = self.posterior.evidence.of("effects").probability >= explanations.NAMED
         single = all(len(slot.members) == 1 and slot.probability >= explanations.NAMED for slot in self.posterior.slots)
         return "equivalent_effects" if found == "missing_effect" and not (certain and single) else found

@@ -249,8 +249,8 @@ def correction(each: WrongRecord) -> str:
 def _value(each: WrongRecord) -> str:
     """Return the value to write: that with a name exactly."""
     named = each.named
-    if named is not None:
-        return significant(named.value, 8)
+    if named is not None or not each.agreeing:
+        return significant(named.value, 8) if named is not None else ""
     return value_and_sd(each.agreeing[0], each.sd[0])[0] if each.sd else significant(each.agreeing[0], 6)
 
 

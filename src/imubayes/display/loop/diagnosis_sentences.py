@@ -29,6 +29,7 @@ _PRIOR_DOUBT = 2.0
 _NOISE = {
     "known": "noise as stated", "scale": "white noise", "correlated": "correlated rows",
     "wander": "a random walk", "rate": "noise that grows with the input", "tails": "heavy tails",
+    "counts": "white noise of one run",
     "runs": "scatter between runs",
 }  # fmt: skip
 _KINDS: dict[Explanation, str] = {
@@ -216,6 +217,8 @@ def _finding(found: diagnosis.Diagnosis) -> str:
     kind, (adverb, chance) = evidence.leading.kind, likely(evidence.leading.probability)
     if kind == "nothing":
         return _adequate_sentence(found)
+    if kind == "noise" and found.disagreeing:
+        return " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
     if kind == "noise":
         rest = "With the noise corrected, no effect is missing." if found.suggested else "No effect explains it."
         return f"The noise is{adverb} not as modelled{chance}: {noise_text(evidence.noise)}. {rest}"
