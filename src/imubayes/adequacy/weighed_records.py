@@ -31,6 +31,7 @@ from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.noise_covariance import noise_distribution
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
 _WIDTHS = {"degC": 30.0, "rad": 1.0}
@@ -135,12 +136,14 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
     """
     campaign = fitted.model.campaign
     if wrong.form == "prior":
-        # The estimate of the fit, which its summary states as well.
+        # The estimate of the fit, which its summary states as well; elsewhere that beside which nothing is left.
         places = list(wrong.parameters)
-        farthest = int(np.argmax(np.abs(np.asarray(fitted.z)[places])))
+        off = np.asarray(fitted.z)[places]
+        off = off if np.abs(off).max() > np.abs(size).max() / 3 else off + size
+        farthest = int(np.argmax(np.abs(off)))
         return WrongRecord(
             form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
-            agreeing=(float(fitted.z[places[farthest]]),), sd=(float(sd[farthest]),), probability=probability,
+            agreeing=(float(off[farthest]),), sd=(float(sd[farthest]),), probability=probability,
         )  # fmt: skip
     run = campaign.runs[wrong.run]
     recorded: float | None = None
@@ -187,6 +190,10 @@ class _Weighing:
         self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
         self.as_recorded = _evidence(self.stated)[1]
         self.largest = largest_scatter(fitted.model)
+
+    def _noise(self, entries: np.ndarray) -> np.ndarray:
+        """Return the noise of entries as known beforehand, output units, but for what their run shares."""
+        return np.sqrt(noise_distribution(self.model.problem, self.h).squared_scale[entries])
 
     def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
         """Return an error of the record at its best size; None where it explains nothing."""
@@ -262,16 +269,11 @@ class _Weighing:
         None where it is not white, or not alike on all channels: something else makes it.
         """
         here, ratio = self.stated.runs[wrong.run], 1.0
-        fit, evidence, squares = self._at_fewer_samples(here, ratio)
+        fit, evidence, chi2 = self._at_fewer_samples(here, ratio)
         for _ in range(_ROUNDS):
-            ratio = len(here) / max(float(squares.sum()), float(np.finfo(float).tiny))
-            fit, evidence, squares = self._at_fewer_samples(here, ratio)
-        channel = self.stated.channel[here]
-        every = [own for k in np.unique(channel).tolist() if len(own := squares[channel == k]) >= _FEW_ROWS]
-        if not every or ratio > 1 / _FEWER or any(np.median(own) < _TYPICAL * np.mean(own) for own in every):
-            return None
-        means = np.array([own.mean() for own in every])
-        if means.max() > _ALIKE * means.min():
+            ratio = len(here) / max(chi2, float(np.finfo(float).tiny))
+            fit, evidence, chi2 = self._at_fewer_samples(here, ratio)
+        if ratio > 1 / _FEWER or not self._alike_in_all_rows(here, fit):
             return None
         sd = math.sqrt(2 / len(here))
         evidence += 0.5 * len(here) * math.log(ratio) + math.log(min(sd / _LOG_COUNTS, 1.0))
@@ -280,12 +282,25 @@ class _Weighing:
             wrong, size, sd * size, self.fitted.z + fit.shift, evidence - self.as_recorded, agree(fit, self.largest)
         )
 
-    def _at_fewer_samples(self, here: np.ndarray, ratio: float) -> tuple[WeightedFit, float, np.ndarray]:
-        """Return the fit with the precision of some entries times a ratio, its evidence, and their squares as known."""
+    def _alike_in_all_rows(self, here: np.ndarray, fit: WeightedFit) -> bool:
+        """Whether the rows of a run scatter about their mean as white noise does, and on all channels alike."""
+        linear, means = self.stated, list[float]()
+        left = linear.misfit[here] - linear.jacobian[here] @ fit.shift
+        for k in np.unique(linear.channel[here]).tolist():
+            own, known = left[linear.channel[here] == k], self._noise(here[linear.channel[here] == k])
+            if len(own) >= _FEW_ROWS:
+                squares = ((own - own.mean()) / known) ** 2
+                means.append(float(squares.mean()))
+                if np.median(squares) < _TYPICAL * means[-1]:
+                    return False
+        return bool(means) and max(means) < _ALIKE * min(means)
+
+    def _at_fewer_samples(self, here: np.ndarray, ratio: float) -> tuple[WeightedFit, float, float]:
+        """Return the fit with the precision of some entries times a ratio, its evidence, and their χ² as known."""
         linear = self.stated
         fit, evidence = _evidence(_noisier(linear, here, ratio))
         left = linear.misfit[here] - linear.jacobian[here] @ fit.shift
-        return fit, evidence, left * (linear.pulled[here] - linear.weighted[here] @ fit.shift)
+        return fit, evidence, float(left @ (linear.pulled[here] - linear.weighted[here] @ fit.shift))
 
     def _of_one_output(self, wrong: WrongInput) -> WeighedRecord:
         """Return what is wrong with one channel in a run, to which its outputs respond linearly."""

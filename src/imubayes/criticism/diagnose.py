@@ -77,7 +77,7 @@ def _counts(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement,
     run, rows = noise[0].run, posterior.of.problem.of_channels
     count = sum(length for each in rows for k, (_, length) in zip(each.runs, each.series, strict=True) if k == run)
     ratio = np.array([noise[0].ratio ** -2])
-    cause = wrong_record(fitted, WrongInput(run, "samples"), ratio, ratio * np.sqrt(2 / count), 1.0)
+    cause = wrong_record(fitted, WrongInput(run, "samples"), ratio, ratio * np.sqrt(3 / count), 1.0)
     stated = max(each.log_posterior for each in posterior.distinct if not _of_counts(each))
     odds = float(posterior.top.log_posterior - stated)
     return (Disagreement(run=cause.run, row=None, log_odds=odds, causes=(cause,)),)

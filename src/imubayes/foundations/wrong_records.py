@@ -19,9 +19,7 @@ import numpy as np
 from imubayes.foundations.number_text import pretty, significant, value_and_sd
 from imubayes.foundations.records import Record
 
-Form = Literal[
-    "offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior", "samples", "elevation"
-]
+Form = Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior", "samples"]
 OPEN = 8.0
 """−2 times the logarithm of how usual an open value is, over the most usual mistakes.  Convention."""
 OPEN_SCALE, NAMED_SCALE, SCALE_OF_KIND = 20.0, 30.0, 15.0
@@ -90,9 +88,8 @@ class WrongRecord(Record):
     row : counts from 1; None for the run as a whole.
     form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` or an
         ``output_factor`` of all channels or of one; an ``exchange`` of a column with that of another run; another
-        ``unit``; a ``prior`` that is too narrow; the count of ``samples`` of each row; the ``elevation`` of the axis of
-        a table.
-    quantity : the column; ``mounting``; ``outputs``, or the only channel; ``unit``; the table; the parameter that is
+        ``unit``; a ``prior`` that is too narrow; the count of ``samples`` of each row.
+    quantity : the column; ``mounting``; ``outputs``, or the only channel; ``unit``; the parameter that is
         farthest off its prior as fitted, in standard deviations.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
@@ -190,8 +187,6 @@ def _open_text(each: WrongRecord) -> str:
             return f"its {'outputs' if each.quantity == 'outputs' else f'output of {each.quantity}'} times {sizes}"
         case "samples":
             return f"about {sizes} samples in each row (stated: {recorded})"
-        case "elevation":
-            return f"an elevation of {sizes}{unit} of the axis of table {each.quantity} (stated: {recorded})"
     if each.row is not None:
         return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"
     if each.unit == "deg":
@@ -234,8 +229,6 @@ def correction(each: WrongRecord) -> str:
             return f"state a mounting of its own for {run}, turned by that much"
         case "samples":
             return f"multiply column 'samples' of {run} by {significant(each.agreeing[0] / (each.recorded or 1.0), 2)}"
-        case "elevation":
-            return f"write elevation_deg = {value} for table '{each.quantity}'"
         case "factor" | "output_factor":
             every = each.quantity == "outputs"
             return f"multiply {f'the outputs of {run}' if every else where} by {value}"
@@ -260,5 +253,4 @@ def record_remedy(each: WrongRecord) -> str:
     out = f"leave the {'run' if each.row is None else 'row'} out"
     if not found:
         return f"correct the record, or {out}"
-    alone = found.endswith("out") or each.form == "elevation"
-    return found if alone else f"{found} if the record confirms it, or {out}"
+    return found if found.endswith("out") else f"{found} if the record confirms it, or {out}"

@@ -276,24 +276,22 @@ def noise_units(problem: linear.LinearProblem) -> tuple[NoiseUnit, ...]:
 def _raised(problem: linear.LinearProblem) -> Iterator[RunNoise]:
     """Yield the runs whose rows scatter more than those of the others, on all channels alike, with the ratio.
 
-    The scatter is that of the residual of the fit from row to row, which a course within a run does not raise.
+    The scatter is that of the residual of the fit from row to row, which a course within a run does not raise; its
+    median is not raised by single rows.
     """
-    scatter: dict[int, list[float]] = {}
+    typical: dict[int, list[float]] = {}
+    squares: dict[int, list[np.ndarray]] = {}
     for rows in problem.of_channels:
-        own = [_row_to_row(rows.columns[start : start + length, -1]) for start, length in rows.series]
+        steps = [np.abs(np.diff(rows.columns[start : start + length, -1])) for start, length in rows.series]
+        own = [float(np.median(each)) if len(each) > 2 else 0.0 for each in steps]
         usual = float(np.median(own)) if len(own) > 2 else 0.0
-        for run, each in zip(rows.runs, own, strict=True):
+        for run, each, median in zip(rows.runs, steps, own, strict=True):
             if usual > 0:
-                scatter.setdefault(run, []).append(each / usual)
-    for run, each in scatter.items():
+                typical.setdefault(run, []).append(median / usual)
+                squares.setdefault(run, []).append((each * _MEDIAN_STEP / usual) ** 2)
+    for run, each in typical.items():
         if min(each) > _RAISED:
-            yield RunNoise("counts", False, run, float(np.median(each)))
-
-
-def _row_to_row(residual: np.ndarray) -> float:
-    """Return the standard deviation of rows from their differences, by the median, which single rows do not raise."""
-    steps = np.abs(np.diff(residual))
-    return float(np.median(steps)) / _MEDIAN_STEP if len(steps) > 2 else 0.0
+            yield RunNoise("counts", False, run, math.sqrt(float(np.concatenate(squares[run]).mean()) / 2))
 
 
 def log_prior_of_sisters(
