@@ -21,7 +21,7 @@ from imubayes.cli.session import (
     start_jax,
     trusting,
 )
-from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.extensions import extensions
 
 if TYPE_CHECKING:
@@ -87,7 +87,9 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
 
     with progress("reading the campaign") as tell:
         inspection = inspect_campaign(campaign)
-        recorded = inspection.campaign or inspect_campaign(campaign, judge_setup=False).campaign
+        recorded = inspection.campaign
+        if recorded is None and any(finding.record is not None for finding in inspection.findings):
+            recorded = inspect_campaign(campaign, judge_setup=False).campaign
         if recorded is None:
             return inspection, None
         tell("binding the model")
@@ -97,7 +99,12 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         from imubayes.model.bind import bind
         from imubayes.model.model_file import read_model
 
-        declared = bind(read_model(model), recorded)
+        try:
+            declared = bind(read_model(model), recorded)
+        except InputError:
+            if inspection.campaign is None:
+                return inspection, None  # what is wrong in the campaign comes first
+            raise
         inspection = weighed(inspection, mode_fit(declared, tell))
         if inspection.campaign is None:
             return inspection, None
