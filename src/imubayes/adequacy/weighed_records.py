@@ -136,15 +136,7 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
     """
     campaign = fitted.model.campaign
     if wrong.form == "prior":
-        # The estimate of the fit, which its summary states as well; elsewhere that beside which nothing is left.
-        places = list(wrong.parameters)
-        off = np.asarray(fitted.z)[places]
-        off = off if np.abs(off).max() > np.abs(size).max() / 3 else off + size
-        farthest = int(np.argmax(np.abs(off)))
-        return WrongRecord(
-            form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
-            agreeing=(float(off[farthest]),), sd=(float(sd[farthest]),), probability=probability,
-        )  # fmt: skip
+        return _narrow_prior(fitted, wrong, size, sd, probability)
     run = campaign.runs[wrong.run]
     recorded: float | None = None
     kind = "" if wrong.channel is None else campaign.channels[wrong.channel].kind
@@ -175,6 +167,19 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
+    )  # fmt: skip
+
+
+def _narrow_prior(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float) -> WrongRecord:
+    """Return the parameter that is farthest off a prior that is too narrow, in its standard deviations."""
+    # The estimate of the fit, which its summary states as well; elsewhere that beside which nothing is left.
+    places = list(wrong.parameters)
+    off = np.asarray(fitted.z)[places]
+    off = off if np.abs(off).max() > np.abs(size).max() / 3 else off + size
+    farthest = int(np.argmax(np.abs(off)))
+    return WrongRecord(
+        form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
+        agreeing=(float(off[farthest]),), sd=(float(sd[farthest]),), probability=probability,
     )  # fmt: skip
 
 

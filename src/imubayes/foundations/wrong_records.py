@@ -211,32 +211,39 @@ def _moved(each: WrongRecord, sd: bool = True) -> str:
 
 def correction(each: WrongRecord) -> str:
     """Return what to change in the record, as a clause; empty where the hypothesis names none."""
-    run, names = f"run '{each.run}'", each.quantity.split(" and ")
-    column = ("column " if len(names) == 1 else "columns ") + " and ".join(f"'{name}'" for name in names)
-    if each.form == "prior" or (not each.run and each.form != "elevation"):
+    if each.form == "prior" or not each.run:
         return ""
-    named = each.named
-    where = f"{column} of {run}" if each.row is None else f"{column}, row {each.row} of {run}"
+    run, named, where = f"run '{each.run}'", each.named, _cells(each)
     if named is not None and named.correction:
         return named.correction.format(where)
-    value = _value(each)
-    match each.form:
-        case "exchange":
-            return f"exchange {column} of {run} and of run '{each.other}'"
-        case "unit":
-            return f"name the file of this unit for {run}, or leave the run out"
-        case "seat":
-            return f"state a mounting of its own for {run}, turned by that much"
-        case "samples":
-            return f"multiply column 'samples' of {run} by {significant(each.agreeing[0] / (each.recorded or 1.0), 2)}"
-        case "factor" | "output_factor":
-            every = each.quantity == "outputs"
-            return f"multiply {f'the outputs of {run}' if every else where} by {value}"
-        case "output_offset":
-            if len(each.agreeing) > 1:
-                return f"add these values to the outputs of {run}"
-            return f"add {_moved(each, sd=False)} to {where}"
-    return f"write {value} in {where}" if each.row is not None else f"add {_moved(each, sd=False)} to {where}"
+    several = len(each.agreeing) > 1 or each.quantity == "outputs"
+    if each.form in ("factor", "output_factor"):
+        return f"multiply {f'the outputs of {run}' if several else where} by {_value(each)}"
+    if each.form in ("offset", "output_offset") and not several:
+        return f"add {_moved(each, sd=False)} to {where}" if _is_sum(each) else f"write {_value(each)} in {where}"
+    return {
+        "exchange": f"exchange {where} and of run '{each.other}'",
+        "unit": f"name the file of this unit for {run}, or leave the run out",
+        "seat": f"state a mounting of its own for {run}, turned by that much",
+        "samples": f"multiply column 'samples' of {run} by {_share(each)}",
+    }.get(each.form, f"add these values to the outputs of {run}")
+
+
+def _is_sum(each: WrongRecord) -> bool:
+    """Whether a value is corrected by what is added to it: of a row the column itself is written."""
+    return each.row is None or each.form == "output_offset"
+
+
+def _share(each: WrongRecord) -> str:
+    """Return what agrees as a share of what was recorded; empty where nothing was."""
+    return significant(each.agreeing[0] / each.recorded, 2) if each.agreeing and each.recorded else ""
+
+
+def _cells(each: WrongRecord) -> str:
+    """Return the column of a run, or the cell of a row."""
+    names = each.quantity.split(" and ")
+    column = ("column " if len(names) == 1 else "columns ") + " and ".join(f"'{name}'" for name in names)
+    return f"{column} of run '{each.run}'" if each.row is None else f"{column}, row {each.row} of run '{each.run}'"
 
 
 def _value(each: WrongRecord) -> str:

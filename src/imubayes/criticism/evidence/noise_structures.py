@@ -325,7 +325,7 @@ def log_prior_of_sisters(
 
 def _unit(problem: linear.LinearProblem, channels: tuple[int, ...], raised: Sequence[RunNoise]) -> NoiseUnit:
     own = problem.rows[channels[0]]
-    others = [*_others(own), *(each for each in raised if each.run in own.runs)]
+    others = _others(own, raised)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
@@ -348,7 +348,7 @@ def _stated(rows: linear.ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
     return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
 
 
-def _others(rows: linear.ChannelRows) -> list[NoiseStructure]:
+def _others(rows: linear.ChannelRows, raised: Sequence[RunNoise]) -> list[NoiseStructure]:
     """Return the structures other than stated.
 
     That of a gyro may grow with an input that varies.  Turns follow one another as the hand makes them, and their
@@ -357,7 +357,8 @@ def _others(rows: linear.ChannelRows) -> list[NoiseStructure]:
     if rows.kind == "closure":
         return [each for each in _STRUCTURES if each.family == "tails"]
     grows = rows.kind == "gyro" and rows.input_varies
-    return [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
+    own = [each for each in raised if each.run in rows.runs]
+    return [*(each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)), *own]
 
 
 def _other_noise(

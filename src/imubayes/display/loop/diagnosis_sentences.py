@@ -217,8 +217,10 @@ def _finding(found: diagnosis.Diagnosis) -> str:
     kind, (adverb, chance) = evidence.leading.kind, likely(evidence.leading.probability)
     if kind == "nothing":
         return _adequate_sentence(found)
-    if kind == "noise" and found.disagreeing:
-        return " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
+    if found.disagreeing:
+        beside = _missing_sentence(found) if found.groups and kind == "input" else ""
+        said = " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
+        return f"{said} With the record corrected: {beside}" if beside else said
     if kind == "noise":
         rest = "With the noise corrected, no effect is missing." if found.suggested else "No effect explains it."
         return f"The noise is{adverb} not as modelled{chance}: {noise_text(evidence.noise)}. {rest}"
@@ -226,9 +228,6 @@ def _finding(found: diagnosis.Diagnosis) -> str:
     if kind == "effects":
         noise = noise_text(evidence.noise)
         return beside + (f" The noise is not as modelled either: {noise}." if noise else "")
-    if kind == "input":
-        said = " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
-        return f"{said} With the record corrected: {beside}" if beside else said
     assert evidence.form is not None
     said = (
         f"A cause outside the catalogue{adverb} acts{chance}: {form_text(evidence.form)}. No effect of the catalogue "
