@@ -72,7 +72,7 @@ class ChannelRows:
     tails : degrees of freedom of heavy tails that the model's prior allows, likewise.
     correlations : correlation in time that the model states, at each size that its prior allows.
     noise : of the median row, at the input, rad/s or m/s²; 0 where it is not known.
-    runs : run of each of `series`; empty of closing rotations.
+    runs : run of each of `series`; empty if it is not known, as of closing rotations.
     """
 
     name: str

@@ -281,7 +281,7 @@ def _raised(problem: linear.LinearProblem) -> Iterator[RunNoise]:
     """
     typical: dict[int, list[float]] = {}
     squares: dict[int, list[np.ndarray]] = {}
-    for rows in problem.of_channels:
+    for rows in (each for each in problem.of_channels if each.runs):
         steps = [np.abs(np.diff(rows.columns[start : start + length, -1])) for start, length in rows.series]
         own = [float(np.median(each)) if len(each) > 2 else 0.0 for each in steps]
         usual = float(np.median(own)) if len(own) > 2 else 0.0
