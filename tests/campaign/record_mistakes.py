@@ -44,7 +44,7 @@ def heater_off(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
         return None
     recorded = true + draw.choice([-1, 1]) * draw.uniform(25, 40)
     changed(files, run, "temperature_degC", lambda _: recorded)
-    return (f"run '{run['name']}'", "mean temperature of")
+    return (f"run '{run['name']}'", "would agree with temperature_degC about")
 
 
 def temperatures_exchanged(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -58,7 +58,7 @@ def temperatures_exchanged(files: Files, draw: np.random.Generator) -> tuple[str
     held = [known[each["name"]] for each in (one, other)]
     changed(files, one, "temperature_degC", lambda _: held[1])
     changed(files, other, "temperature_degC", lambda _: held[0])
-    return (f"'{one['name']}'", f"'{other['name']}'", "temperatures of runs", "exchanged")
+    return (f"'{one['name']}'", f"'{other['name']}'", "temperature_degC exchanged with")
 
 
 def other_unit(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -72,7 +72,7 @@ def other_unit(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
         bias = draw.choice([-1, 1]) * draw.uniform(0.02, 0.05) * scale
         bias *= 1.0 if channel["kind"] == "accelerometer" else 20.0
         changed(files, run, str(channel["name"]), lambda x, ppm=ppm, bias=bias: (1 + ppm) * x + bias)
-    return (f"run '{run['name']}' is of another unit",)
+    return (f"run '{run['name']}' would agree with errors of its own in all channels",)
 
 
 def rate_without_sign(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -110,7 +110,7 @@ def sign_in_one_row(files: Files, draw: np.random.Generator) -> tuple[str, ...] 
 
     files.edit(run, edit)
     ((name, row),) = place
-    return (f"'{run['name']}'", f"'{name}' has the wrong sign in row {row}")
+    return (f"row {row} of run '{run['name']}'", f"its output of {name} times -1")
 
 
 def scale_ten_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -145,7 +145,7 @@ def output_off(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
     run, (name, *_) = _one_output(files, draw)
     off = 0.1 * float(np.ptp(_values(files, run, name)))
     changed(files, run, name, lambda values: values + off)
-    return (f"in run '{run['name']}'", f"channel '{name}' are off by {off:+.0f}")
+    return (f"in run '{run['name']}'", f"its output of {name} changed by (")
 
 
 def output_stuck(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -168,16 +168,15 @@ def rate_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
     runs = files.of("rate_table")
     run, factor = runs[draw.integers(len(runs))], float(draw.choice([2.0, 3.0]))
     changed(files, run, "table_rate_deg_s", lambda rate: factor * rate)
-    return (f"'table_rate_deg_s' of run '{run['name']}' is", "relative to the other runs, or channel")
+    return (f"run '{run['name']}' would agree with table_rate_deg_s times {1 / factor:.2g}", "its output of")
 
 
 def decimal_of_a_rate(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
     """Write one rate of a run ten times too small."""
     runs = files.of("rate_table")
     run, row = runs[draw.integers(len(runs))], 2
-    true = _values(files, run, "table_rate_deg_s")[row]
     changed(files, run, "table_rate_deg_s", lambda rate: np.where(np.arange(len(rate)) == row, rate / 10, rate))
-    return (f"row {row + 1} are as at 'table_rate_deg_s' = {true:.4g} ",)
+    return (f"row {row + 1} of run '{run['name']}'", "table_rate_deg_s = ")
 
 
 RECORD_MISTAKES: dict[str, Planter] = {

@@ -68,16 +68,16 @@ def two_runs(folder: Path, factors: dict[str, float]) -> Inspection:
 def test_a_rate_wrong_by_a_factor_in_one_run_is_named_with_the_factor(tmp_path: Path, run: str, factor: float) -> None:
     found = two_runs(tmp_path / "campaign", {"up": 1.0, "down": 1.0} | {run: factor})
     assert {finding.name for finding in found.findings} == {"table_rate"}
-    told = re.search(rf"of run '{run}' is ([\d.]+) ± (\S+) times that of the outputs", str(found.findings[0]))
+    told = re.search(rf"run '{run}' would agree with table_rate_deg_s times ([\d.]+) ± ", str(found.findings[0]))
     assert told, str(found.findings[0])
-    assert float(told[1]) == pytest.approx(factor, abs=2e-4)
+    assert float(told[1]) == pytest.approx(1 / factor, abs=2e-4)
 
 
 def test_of_two_runs_that_differ_by_what_a_scale_factor_may_be_both_are_named(tmp_path: Path) -> None:
     (finding,) = two_runs(tmp_path / "campaign", {"up": 1.01, "down": 1.0}).findings
     assert "cannot determine" in finding.what
-    assert "'up' is 1.010" in finding.what
-    assert "'down' is 0.990" in finding.what
+    assert "'up' would agree with table_rate_deg_s times 0.990" in finding.what
+    assert "'down' would agree with table_rate_deg_s times 1.00" in finding.what or "times 1.01" in finding.what
 
 
 def test_right_rates_and_the_same_factor_in_both_runs_pass(tmp_path: Path) -> None:
@@ -113,10 +113,10 @@ def test_an_angle_mistyped_by_degrees_is_named_by_run_and_row(tmp_path: Path, se
     run, row, angle = mistyped(tmp_path / "campaign", seed)
     found = [each for each in inspect_campaign(tmp_path / "campaign").findings if each.name == "row_disagrees"]
     assert [each.run for each in found] == [run]
-    told = re.search(r"all outputs of row (\d+) are as at 'table_angle_deg' = (\S+) ± (\S+) deg", found[0].what)
-    assert told, found[0].what
-    assert int(told[1]) == row
-    assert abs((float(told[2]) - angle + 180) % 360 - 180) < 0.3
+    record = found[0].record
+    assert record is not None
+    assert (record.form, record.quantity, record.row) == ("offset", "table_angle_deg", row)
+    assert abs((record.agreeing[0] - angle + 180) % 360 - 180) < 0.3
 
 
 @pytest.mark.parametrize(("bench", "column"), [("triad", "table_angle_deg"), ("gyro", "table_rate_deg_s")])
@@ -132,7 +132,7 @@ def test_two_rows_that_are_exchanged_are_named(tmp_path: Path, bench: str, colum
 
     files.edit(run, exchange)
     found = [each for each in inspect_campaign(tmp_path / bench).findings if each.name == "row_disagrees"]
-    told = [int(re.search(r"row (\d+) are as at", each.what)[1]) for each in found]  # type: ignore[index]
+    told = [int(re.search(r"row (\d+) of run", each.what)[1]) for each in found]  # type: ignore[index]
     assert sorted(told) == [first + 1, second + 1]
     assert {each.run for each in found} == {run["name"]}
 

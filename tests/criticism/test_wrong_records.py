@@ -15,11 +15,12 @@ from planted_data import fit_of, probability, told
 from random_plans import random_plan
 from simulate import write_simulated
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
+from imubayes.adequacy.adequacy_record import Disagreement
 from imubayes.adequacy.weighed_records import doubted_runs
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 
@@ -49,11 +50,11 @@ def wrong_record(found: Diagnosis) -> Disagreement:
     return only
 
 
-def cause(of: Disagreement, quantity: str) -> AgreeingInput:
+def cause(of: Disagreement, quantity: str) -> WrongRecord:
     return next(each for each in of.causes if each.quantity == quantity)
 
 
-def covers(found: AgreeingInput, truth: float, component: int = 0, most: float = 4.0) -> bool:
+def covers(found: WrongRecord, truth: float, component: int = 0, most: float = 4.0) -> bool:
     """Tell whether what would agree, with its uncertainty, holds the truth."""
     return abs(found.agreeing[component] - truth) < most * found.sd[component]
 

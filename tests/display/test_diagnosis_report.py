@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from rich.console import Console
 
 from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
-from imubayes.adequacy.adequacy_record import AgreeingInput, ChannelRms, Disagreement, NoiseComparison
+from imubayes.adequacy.adequacy_record import ChannelRms, Disagreement, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import NeglectedUncertainty, ParameterBias
 from imubayes.criticism.diagnosis_record import (
@@ -40,6 +40,7 @@ from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.display.loop.history import history_json, history_sheet
 from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.errors import InputError
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.loop.injection_recovery import Size, Trial, Trials
 from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id
 from imubayes.responses.residual_covariates import ResidualCovariate
@@ -115,9 +116,9 @@ def test_noise_that_the_model_lacks_is_what_to_add():
 
 @pytest.mark.parametrize(("row", "probability"), [(None, 0.998), (3, 0.62)])
 def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
-    cause = AgreeingInput(
-        form="offset", quantity="temperature_degC", unit="degC", recorded=20.0, agreeing=(25.13,), sd=(0.11,),
-        probability=0.9,
+    cause = WrongRecord(
+        run="A", row=row, form="offset", quantity="temperature_degC", unit="degC", recorded=20.0, agreeing=(25.13,),
+        sd=(0.11,), probability=0.9,
     )  # fmt: skip
     other = replace_record(cause, form="factor", quantity="table_rate_deg_s", unit="1", recorded=1.0, agreeing=(1.1,))
     wrong = Disagreement(run="A", row=row, log_odds=40.0, causes=(cause, other), instead=("B",))
@@ -125,18 +126,20 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
     said = sentence(found)
     if row is None:
         assert said.startswith("Run A does not agree with the other runs. It would agree with temperature_degC about")
-        assert said.endswith("Correct the record, or leave the run out, and fit again.")
+        assert "Add +5.13 to column 'temperature_degC' of run 'A' if the record confirms it" in said
+        assert said.endswith("or leave the run out; then fit again.")
     else:
         assert said.startswith(
             "Row 3 of run A probably does not agree with the other rows (probability 0.62). It would"
         )
-        assert said.endswith("Correct the record, or leave the row out, and fit again.")
-    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11, all rows alike." in said
+        assert "Write 25.13 in column 'temperature_degC', row 3 of run 'A' if the record confirms it" in said
+        assert said.endswith("or leave the row out; then fit again.")
+    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11" in said
     assert "Alternatively the record of B is wrong." in said
 
 
 def test_a_prior_that_the_data_contradict_is_told_with_its_remedy():
-    cause = AgreeingInput(
+    cause = WrongRecord(
         form="prior", quantity="accel_bias.bias[ax]", unit="1", recorded=0.0, agreeing=(-26.2,), sd=(0.4,),
         probability=1.0,
     )  # fmt: skip
@@ -147,7 +150,7 @@ def test_a_prior_that_the_data_contradict_is_told_with_its_remedy():
     assert "run" not in said
 
 
-def replace_record(record: AgreeingInput, **changed) -> AgreeingInput:
+def replace_record(record: WrongRecord, **changed) -> WrongRecord:
     return record.model_copy(update=changed)
 
 

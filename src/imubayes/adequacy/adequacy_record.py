@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from imubayes.foundations.records import Record
+from imubayes.foundations.wrong_records import WrongRecord
 
 _NOISE_CONTRADICTED_P = 0.005
 """A scale that exceeds what is known with less than this p-value, all comparisons together (Holm), contradicts it, and
@@ -92,35 +93,6 @@ class NoiseComparison:
         return not self.excessive and abs(math.log(self.ratio)) < max(math.log(_NOISE_TOLD), chance)
 
 
-class AgreeingInput(Record):
-    """A recorded quantity of a run, or of one row of it, and what would make the run agree with the others.
-
-    Attributes
-    ----------
-    form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` or an
-        ``output_factor`` of all channels or of one; an ``exchange`` of a column with that of another run; another
-        ``unit``; a ``prior`` that is too narrow.
-    quantity : the column; ``mounting``; ``outputs``, or the only channel; ``unit``; the parameter
-        that is farthest off its prior as fitted, in standard deviations.
-    unit : of the values; of a factor 1, of outputs the unit of the first channel.
-    recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
-        1 for a factor.
-    agreeing : what would agree, for each component: value, factor, or rotation vector in body axes.
-    sd : its standard uncertainty, the parameters of the model estimated beside it.
-    probability : among all wrong inputs.
-    other : of an exchange, the name of the other run; empty otherwise.
-    """
-
-    form: Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior"]
-    quantity: str
-    unit: str
-    recorded: float | None
-    agreeing: tuple[float, ...]
-    sd: tuple[float, ...]
-    probability: float
-    other: str = ""
-
-
 class Disagreement(Record):
     """A run, or one row of it, whose record is wrong in the most probable explanation.
 
@@ -136,7 +108,7 @@ class Disagreement(Record):
     run: str
     row: int | None
     log_odds: float
-    causes: tuple[AgreeingInput, ...]
+    causes: tuple[WrongRecord, ...]
     instead: tuple[str, ...] = ()
 
 
@@ -151,7 +123,7 @@ class DoubtedRun(Record):
 
     run: str
     p: float
-    causes: tuple[AgreeingInput, ...] = ()
+    causes: tuple[WrongRecord, ...] = ()
 
 
 class ChannelRms(Record):

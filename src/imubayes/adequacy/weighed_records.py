@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, DoubtedRun
+from imubayes.adequacy.adequacy_record import DoubtedRun
 from imubayes.adequacy.deletion_diagnostics import (
     LinearFit,
     WeightedFit,
@@ -29,7 +29,9 @@ from imubayes.adequacy.known_noise import largest_scatter
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.noise_covariance import noise_distribution
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
 _WIDTHS = {"degC": 30.0, "rad": 1.0}
@@ -41,6 +43,11 @@ _SIGN = -2.0  # of a factor, what reverses the sign of a column
 _DOUBTED = 4
 """Runs that agree least with the others, whose records are weighed."""
 _ROUNDS, _REWEIGHED = 5, 3
+_FEWER, _LOG_COUNTS = 4.0, 4.0
+"""Least ratio of stated to true samples that is told, and the standard deviation of its logarithm beforehand."""
+_FEW_ROWS, _TYPICAL, _ALIKE = 6, 0.15, 6.0
+"""Rows of a channel that tell its scatter; least median over mean of their squares, 0.45 of white noise, below which
+single rows make it; and the largest ratio of mean squares between channels.  Convention: beyond chance in 12 rows."""
 _DISAGREES = math.log(0.005)
 """Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
 _TOLD, NEAR = 10.0, 3.0
@@ -94,6 +101,8 @@ def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
         )
         if len(campaign.runs) > 2:
             yield WrongInput(run, "unit")
+        if float(np.median(campaign.runs[run].samples)) > 1:
+            yield WrongInput(run, "samples")
     yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})
 
 
@@ -111,14 +120,12 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
     odds = np.array([each.log_odds for each in near])
     share = np.exp(odds - np.logaddexp.reduce(odds))
-    causes = [agreeing_input(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    causes = [wrong_record(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
     log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
     return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
 
 
-def agreeing_input(
-    fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
-) -> AgreeingInput:
+def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float) -> WrongRecord:
     """Return an error of the record in its unit.
 
     Parameters
@@ -129,16 +136,15 @@ def agreeing_input(
     """
     campaign = fitted.model.campaign
     if wrong.form == "prior":
-        # The estimate of the fit, which its summary states as well.
-        places = list(wrong.parameters)
-        farthest = int(np.argmax(np.abs(np.asarray(fitted.z)[places])))
-        return AgreeingInput(
-            form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
-            agreeing=(float(fitted.z[places[farthest]]),), sd=(float(sd[farthest]),), probability=probability,
-        )  # fmt: skip
+        return _narrow_prior(fitted, wrong, size, sd, probability)
     run = campaign.runs[wrong.run]
     recorded: float | None = None
-    if wrong.form in ("exchange", "unit"):
+    kind = "" if wrong.channel is None else campaign.channels[wrong.channel].kind
+    if wrong.form == "samples":
+        recorded = float(np.median(run.samples))
+        # The size is a ratio.
+        quantity, unit, factor, size = "samples", "1", 1 / recorded, size - 1
+    elif wrong.form in ("exchange", "unit"):
         quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
         unit, recorded, factor = "1", 0.0, 1.0
     elif wrong.form.endswith("factor"):
@@ -156,10 +162,24 @@ def agreeing_input(
         channel = campaign.channels[wrong.channel or 0]
         quantity = _outputs(campaign, wrong)
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
-    return AgreeingInput(
+    return WrongRecord(
+        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind,
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
+    )  # fmt: skip
+
+
+def _narrow_prior(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float) -> WrongRecord:
+    """Return the parameter that is farthest off a prior that is too narrow, in its standard deviations."""
+    # The estimate of the fit, which its summary states as well; elsewhere that beside which nothing is left.
+    places = list(wrong.parameters)
+    off = np.asarray(fitted.z)[places]
+    off = off if np.abs(off).max() > np.abs(size).max() / 3 else off + size
+    farthest = int(np.argmax(np.abs(off)))
+    return WrongRecord(
+        form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
+        agreeing=(float(off[farthest]),), sd=(float(sd[farthest]),), probability=probability,
     )  # fmt: skip
 
 
@@ -176,10 +196,16 @@ class _Weighing:
         self.as_recorded = _evidence(self.stated)[1]
         self.largest = largest_scatter(fitted.model)
 
+    def _noise(self, entries: np.ndarray) -> np.ndarray:
+        """Return the noise of entries as known beforehand, output units, but for what their run shares."""
+        return np.sqrt(noise_distribution(self.model.problem, self.h).squared_scale[entries])
+
     def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
         """Return an error of the record at its best size; None where it explains nothing."""
         if wrong.form == "unit":
             return self._of_other_unit(wrong)
+        if wrong.form == "samples":
+            return self._of_samples(wrong)
         if wrong.channel is not None:
             return self._of_one_output(wrong)
         z = np.asarray(self.fitted.z)
@@ -242,6 +268,45 @@ class _Weighing:
         response, weighted = self.stated.jacobian[:, own] * here, self.stated.weighted[:, own] * here
         return self._linearly(wrong, _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own))))
 
+    def _of_samples(self, wrong: WrongInput) -> WeighedRecord | None:
+        """Return that rows are means of fewer samples than stated: the noise of the run is larger by one ratio.
+
+        None where it is not white, or not alike on all channels: something else makes it.
+        """
+        here, ratio = self.stated.runs[wrong.run], 1.0
+        fit, evidence, chi2 = self._at_fewer_samples(here, ratio)
+        for _ in range(_ROUNDS):
+            ratio = len(here) / max(chi2, float(np.finfo(float).tiny))
+            fit, evidence, chi2 = self._at_fewer_samples(here, ratio)
+        if ratio > 1 / _FEWER or not self._alike_in_all_rows(here, fit):
+            return None
+        sd = math.sqrt(2 / len(here))
+        evidence += 0.5 * len(here) * math.log(ratio) + math.log(min(sd / _LOG_COUNTS, 1.0))
+        size = np.array([ratio])
+        return WeighedRecord(
+            wrong, size, sd * size, self.fitted.z + fit.shift, evidence - self.as_recorded, agree(fit, self.largest)
+        )
+
+    def _alike_in_all_rows(self, here: np.ndarray, fit: WeightedFit) -> bool:
+        """Whether the rows of a run scatter about their mean as white noise does, and on all channels alike."""
+        linear, means = self.stated, list[float]()
+        left = linear.misfit[here] - linear.jacobian[here] @ fit.shift
+        for k in np.unique(linear.channel[here]).tolist():
+            own, known = left[linear.channel[here] == k], self._noise(here[linear.channel[here] == k])
+            if len(own) >= _FEW_ROWS:
+                squares = ((own - own.mean()) / known) ** 2
+                means.append(float(squares.mean()))
+                if np.median(squares) < _TYPICAL * means[-1]:
+                    return False
+        return bool(means) and max(means) < _ALIKE * min(means)
+
+    def _at_fewer_samples(self, here: np.ndarray, ratio: float) -> tuple[WeightedFit, float, float]:
+        """Return the fit with the precision of some entries times a ratio, its evidence, and their χ² as known."""
+        linear = self.stated
+        fit, evidence = _evidence(_noisier(linear, here, ratio))
+        left = linear.misfit[here] - linear.jacobian[here] @ fit.shift
+        return fit, evidence, float(left @ (linear.pulled[here] - linear.weighted[here] @ fit.shift))
+
     def _of_one_output(self, wrong: WrongInput) -> WeighedRecord:
         """Return what is wrong with one channel in a run, to which its outputs respond linearly."""
         campaign = self.model.campaign
@@ -260,6 +325,13 @@ class _Weighing:
         z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
         sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
         return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded, agree(fit, self.largest))
+
+
+def _noisier(linear: LinearFit, here: np.ndarray, ratio: float) -> LinearFit:
+    """Return a linear fit in which some entries have their precision times a ratio."""
+    weight = np.ones(len(linear.misfit))
+    weight[here] = ratio
+    return replace(linear, weighted=weight[:, None] * linear.weighted, pulled=weight * linear.pulled)
 
 
 def _beside(

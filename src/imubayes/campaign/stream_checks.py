@@ -15,6 +15,7 @@ from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wrong_records import WrongRecord
 
 Severity = Literal["error", "warning"]
 
@@ -70,6 +71,7 @@ FINDINGS: dict[str, str] = {
     "table_rate": "the rates of the table in a run are wrong by a factor",
     "row_disagrees": "angle or rate of the table in one row contradicts its outputs",
     "time_shift": "outputs and table are shifted in time",
+    "run_disagrees": "a run does not agree with the others under the model (`check --model`)",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "standard_errors": "deviations of raw samples are standard errors of their means",
     "samples_missing": "standard deviations of raw samples are stated without the number of samples",
@@ -106,6 +108,7 @@ class Finding:
     severity : ``error`` or ``warning``.
     run : name of the run.
     what, where, allowed, remedy : as in `Issue`.
+    record : what is wrong in the record of the run, where that is known; the likeliest.
 
     Examples
     --------
@@ -121,6 +124,7 @@ class Finding:
     where: str
     allowed: str
     remedy: str
+    record: WrongRecord | None = None
 
     def problem(self) -> Issue:
         """Return the finding as an issue."""

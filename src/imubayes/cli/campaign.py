@@ -21,7 +21,7 @@ from imubayes.cli.session import (
     start_jax,
     trusting,
 )
-from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.extensions import extensions
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def check(
     campaign
         Folder with campaign.toml.
     model
-        Model file to check against the campaign, or the name of a shipped model.
+        Model file to check against the campaign, or the name of a shipped model. What is wrong in the record of a run
+        is weighed against it as well, as in a fit.
     fix
         Folder to write: a copy with the corrections that need no further fact (spelling of keys, words and columns,
         order of rows in time), which is checked in place of the campaign.
@@ -86,14 +87,27 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
 
     with progress("reading the campaign") as tell:
         inspection = inspect_campaign(campaign)
-        if inspection.campaign is None:
+        recorded = inspection.campaign
+        if recorded is None and any(finding.record is not None for finding in inspection.findings):
+            recorded = inspect_campaign(campaign, judge_setup=False).campaign
+        if recorded is None:
             return inspection, None
         tell("binding the model")
         start_jax()
+        from imubayes.adequacy.weighed_findings import weighed
+        from imubayes.inference.run_fit import mode_fit
         from imubayes.model.bind import bind
         from imubayes.model.model_file import read_model
 
-        declared = bind(read_model(model), inspection.campaign)
+        try:
+            declared = bind(read_model(model), recorded)
+        except InputError:
+            if inspection.campaign is None:
+                return inspection, None  # what is wrong in the campaign comes first
+            raise
+        inspection = weighed(inspection, mode_fit(declared, tell))
+        if inspection.campaign is None:
+            return inspection, None
         untold: tuple[str, ...] = ()
         if len(declared.layout) > len(declared.entries):
             from imubayes.inference.linear_information import untold_effects

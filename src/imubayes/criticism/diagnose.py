@@ -11,18 +11,18 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
+from imubayes.adequacy.adequacy_record import Disagreement
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
-from imubayes.adequacy.weighed_records import agreeing_input
+from imubayes.adequacy.weighed_records import wrong_record
 from imubayes.criticism import diagnosis_record as record
 from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior
-from imubayes.criticism.evidence.noise_structures import Family
+from imubayes.criticism.evidence.noise_structures import Family, RunNoise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
 from imubayes.criticism.formula_search import ResidualFormula, find_formula
@@ -34,6 +34,7 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
@@ -44,6 +45,8 @@ from imubayes.responses.wrong_inputs import NO_RUN, WrongInput
 def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
     """Return the run, row or prior, as recorded, that is wrong in the leading explanation; else none."""
     campaign = fitted.model.campaign
+    if posterior.leading == "noise":
+        return _counts(posterior, fitted)
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
@@ -66,6 +69,24 @@ def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagre
     )
 
 
+def _counts(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
+    """Return the run whose stated counts of samples the leading explanation contradicts."""
+    noise = [each.rows for each in posterior.top.hypothesis.noise if isinstance(each.rows, RunNoise)]
+    if not noise:
+        return ()
+    run, rows = noise[0].run, posterior.of.problem.of_channels
+    count = sum(length for each in rows for k, (_, length) in zip(each.runs, each.series, strict=True) if k == run)
+    ratio = np.array([noise[0].ratio ** -2])
+    cause = wrong_record(fitted, WrongInput(run, "samples"), ratio, ratio * np.sqrt(3 / count), 1.0)
+    stated = max(each.log_posterior for each in posterior.distinct if not _of_counts(each))
+    odds = float(posterior.top.log_posterior - stated)
+    return (Disagreement(run=cause.run, row=None, log_odds=odds, causes=(cause,)),)
+
+
+def _of_counts(found: Evaluated) -> bool:
+    return any(isinstance(each.rows, RunNoise) for each in found.hypothesis.noise)
+
+
 def _wrong(found: Evaluated) -> WrongInput:
     form = found.hypothesis.form
     assert form is not None
@@ -84,13 +105,13 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> WrongRecord:
     """Return a wrong input in the unit of the record."""
     form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    return agreeing_input(fitted, _wrong(found), size, sd, share)
+    return wrong_record(fitted, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:
@@ -304,7 +325,7 @@ class ExplainedFit:
     def _verdict(self) -> explanations.Verdict:
         if not self.fit.optimised:
             return "not_converged"
-        found = _VERDICTS[self.posterior.leading]
+        found = "run_disagrees" if _of_counts(self.posterior.top) else _VERDICTS[self.posterior.leading]
         certain = self.posterior.evidence.of("effects").probability >= explanations.NAMED
         single = all(len(slot.members) == 1 and slot.probability >= explanations.NAMED for slot in self.posterior.slots)
         return "equivalent_effects" if found == "missing_effect" and not (certain and single) else found

@@ -19,6 +19,7 @@ from imubayes.foundations.campaign_data import Campaign, Grade, Run
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record
 from imubayes.foundations.wording import counted
+from imubayes.foundations.wrong_records import WrongRecord
 from imubayes.model.model_file import SingleRunEffect
 
 _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![\w.])\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
@@ -77,11 +78,12 @@ class CheckedRun(Record):
 
 
 class CheckedFinding(Record):
-    """One finding, in its full text."""
+    """One finding, in its full text, with what is wrong in the record of a run where that is known."""
 
     name: str
     severity: str
     text: str
+    record: WrongRecord | None = None
 
 
 class CheckedGrade(Record):
@@ -125,7 +127,7 @@ def check_record(inspection: Inspection, model: CheckedModel | None) -> Check:
         grades=_grades(campaign),
         runs=tuple(CheckedRun.model_validate(run, from_attributes=True) for run in campaign.runs),
         findings=tuple(
-            CheckedFinding(name=finding.name, severity=finding.severity, text=str(finding))
+            CheckedFinding(name=finding.name, severity=finding.severity, text=str(finding), record=finding.record)
             for finding in inspection.findings
         ),
         notes=campaign.notes,

@@ -9,7 +9,7 @@ the data are named in words and in a table, with the line of the file to change.
 import math
 from collections.abc import Sequence
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, NoiseComparison, NoiseViolation
+from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import (
     command_line,
@@ -23,6 +23,7 @@ from imubayes.display.numbers_and_labels import (
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.quantity_names import SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
+from imubayes.foundations.wrong_records import agreement_text, record_remedy
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
 from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
 from imubayes.results.summary import PriorScatter, RunSummary, Summary
@@ -247,36 +248,12 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
         return (
-            f"{said}. Run {doubted[0].run} would agree with {'; or with '.join(causes)}: `{command}` compares this "
-            "with missing effects.",
+            f"{said}. Run {doubted[0].run} would agree with {'; or with '.join(causes)}: "
+            f"{record_remedy(doubted[0].causes[0])}. `{command}` compares this with missing effects.",
         )
     return (
         f"{said} (p {relation(doubted[0].p)}): `{command}` names the entry of the record that would make it agree.",
     )
-
-
-def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
-    """Return what would make a run, or a row of it, agree."""
-    unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
-    pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
-    sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
-    if each.form == "unit":
-        return "errors of its own in all channels: the run, or its file, is from another unit"
-    if each.form == "exchange":
-        return f"{each.quantity} exchanged with that of run {each.other}"
-    if each.form == "seat":
-        return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
-    if each.form == "output_offset":
-        which = "outputs of every channel" if len(pairs) > 1 else f"output of {each.quantity}"
-        return f"its {which} changed by ({sizes}){unit}"
-    if each.form == "factor":
-        return f"{each.quantity} times {sizes}, all rows alike"
-    if each.form == "output_factor":
-        return f"its {'outputs' if each.quantity == 'outputs' else f'output of {each.quantity}'} times {sizes}"
-    recorded = significant(each.recorded, 5)
-    if row is not None:
-        return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"
-    return f"{each.quantity} about {sizes}{unit} on average (recorded: {recorded})"
 
 
 _SUSPECTED = (

@@ -19,7 +19,7 @@ from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinn
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh_tail
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
-from imubayes.inference.noise_scale_modes import NEGLIGIBLE, modes_of_scales, posterior_points
+from imubayes.inference.noise_scale_modes import NEGLIGIBLE, ScaleModes, modes_of_scales, posterior_points
 from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.plausibility import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, heights, log_evidence, message
@@ -79,17 +79,10 @@ def joint_fit(
         file = _checkpoint(model, sampling, checkpoint or Path(folder) / "checkpoint.h5") if sampling else None
         if file is not None and resume:
             file.check()
-        tell("fitting: mode")
-        mode, others = _best_start(model, sampling, start, tell)
-        fit = judged_fit(model, mode)
-        if not fit.converged:
+        fit, found, others = _at_modes(model, sampling, start, tell)
+        if found is None or not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
-        tell("fitting: noise scales")
-        found = modes_of_scales(problem, mode)
         mode, others = found.highest, [*others, *(np.asarray(lower.z) for lower in found.lower)]
-        fit = judged_fit(model, mode)
-        if not fit.converged:
-            return replace(fit, seconds={"fit": time.perf_counter() - clock})
         approximation = nested_laplace(problem, mode, found.marginal)
         proposal = LaplaceProposal(approximation, problem)
         seconds, clock = {"fit": time.perf_counter() - clock}, time.perf_counter()
@@ -104,6 +97,29 @@ def joint_fit(
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving quantities")
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, chains), seconds=seconds)
+
+
+def mode_fit(model: Model, progress: Progress | None = None) -> Fit:
+    """Return a fit at the mode of its parameters and noise scales, without a posterior."""
+    _require_double_precision()
+    return _at_modes(model, None, None, progress or (lambda text: None))[0]
+
+
+def _at_modes(
+    model: Model, sampling: Settings | None, start: tuple[np.ndarray, np.ndarray] | None, tell: Progress
+) -> tuple[Fit, ScaleModes | None, list[np.ndarray]]:
+    """Return the fit at the highest mode, the modes of noise scales, and other ends worth a look.
+
+    There are no modes of scales where the first one did not converge.
+    """
+    tell("fitting: mode")
+    mode, others = _best_start(model, sampling, start, tell)
+    fit = judged_fit(model, mode)
+    if not fit.converged:
+        return fit, None, others
+    tell("fitting: noise scales")
+    found = modes_of_scales(model.problem, mode)
+    return judged_fit(model, found.highest), found, others
 
 
 def judged_fit(model: Model, mode: Mode) -> Fit:

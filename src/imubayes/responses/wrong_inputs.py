@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Literal
 
 import equinox as eqx
 import numpy as np
@@ -20,13 +19,13 @@ from imubayes.compiled.in_numpy import in_numpy
 from imubayes.foundations.arrays import Array, exponential
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
+from imubayes.foundations.wrong_records import Form
 from imubayes.model.assembly import nodes_of
 from imubayes.model.bind import Model
 from imubayes.model.nodes_and_entries import join_entries, rejoin_nodes
 from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
 
-Form = Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior"]
 _STEP = 1e-3
 """Step of derivatives, over the largest value of a column, or in rad and as a ratio: the error of a central difference
 is a millionth."""
@@ -50,7 +49,7 @@ class WrongInput:
     rotation vector in body axes, rad; to the outputs of each channel, output units; to a factor on all of them; or, of
     columns that two runs exchanged, 1.  A run of another unit has parameters of its own: sizes are their z less those
     of the other runs, and the record stays as it is; so it does where the stated prior of parameters is too narrow, by
-    which sizes are what their z is beyond it.
+    which sizes are what their z is beyond it.  Of a count of samples the size is a ratio, true over stated.
 
     Attributes
     ----------
@@ -74,7 +73,7 @@ class WrongInput:
 
     def corrected(self, campaign: Campaign, size: np.ndarray) -> Campaign:
         """Return the campaign with a size, (d,), added to the record."""
-        if self.form in ("unit", "prior"):
+        if self.form in ("unit", "prior", "samples"):
             return campaign
         run = campaign.runs[self.run]
         if self.form == "exchange":
@@ -172,7 +171,7 @@ def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
 
 def acts_through_the_model(wrong: WrongInput) -> bool:
     """Tell whether a wrong input changes the prediction: outputs, and parameters beyond their prior, are linear."""
-    return wrong.form not in ("unit", "prior") and not wrong.form.startswith("output")
+    return wrong.form not in ("unit", "prior", "samples") and not wrong.form.startswith("output")
 
 
 def of_sensors(model: Model) -> np.ndarray:

@@ -21,6 +21,8 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.wrong_records import WrongRecord
 
 _DEGREE = math.pi / 180
 RIGHT_ANGLES = math.pi / 2, -math.pi / 2, math.pi
@@ -161,6 +163,15 @@ class Mistake(ABC):
     def named(self, size: float) -> bool:
         """Return whether a size of an open value has a name."""
         return False
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return what is wrong in the record of a run, as the fit and the diagnosis say it; None of a set-up.
+
+        Parameters
+        ----------
+        size, sd : of the mistake, and its standard deviation; 0 where there is none.
+        """
+        return None
 
     @property
     def variant(self) -> str:
@@ -304,6 +315,17 @@ class TableZero(Mistake):
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a shift by whole rows: at equal steps it turns the angles as well."""
         return isinstance(other, TimeShift) and other.whole and other.scope.runs == self.scope.runs
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the angles of a run; a table and a mounting are corrected where they are stated."""
+        if self.scope.section != "run":
+            return None
+        run = next(run for run in campaign.runs if run.name == self.scope.name)
+        recorded = float(np.nanmean(campaign.as_read(run, "table_angle"))) / _DEGREE
+        return WrongRecord(
+            run=run.name, form="offset", quantity=COVARIATES["table_angle"].column, unit="deg", recorded=recorded,
+            agreeing=(recorded + size / _DEGREE,), sd=(sd / _DEGREE,) if sd else (),
+        )  # fmt: skip
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the zero moved."""

@@ -7,6 +7,7 @@ from typing import ClassVar
 from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed, Mistake, Scope, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.wrong_records import WrongRecord
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ class OtherUnit(Mistake):
     def passes_for(self) -> str:
         """What another unit is."""
         return "biases and scale factors unlike those of other runs"
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return that the run is of another unit."""
+        return WrongRecord(run=self.scope.name, form="unit", quantity="unit", unit="1", recorded=None, agreeing=())
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run as it is."""

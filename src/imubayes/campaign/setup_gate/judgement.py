@@ -8,9 +8,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE
+from imubayes.campaign.setup_gate.catalogue import MISTAKES
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
+from imubayes.campaign.setup_gate.record_remedies import issue_of
 from imubayes.campaign.setup_gate.remedies import REMEDIES
 from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Explanation, Search, equally_good
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
@@ -18,8 +20,8 @@ from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_ri
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
 
 _STEPS = 3
 _TURNED_FAR = 30.0
@@ -112,44 +114,23 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
 
 
 def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
-    said = [_record_of_row(campaign, each) for each in (found, *found.rivals)]
-    what = "the data cannot determine whether " + ", or ".join(said) if found.rivals else said[0]
-    what += f": {found.distance:.2g} standard deviations of the other rows"
-    column = _column_of_row(campaign, found)
-    where = f"{places.table(found.run)}, row {found.row + 1}, column '{column}'"
-    remedy = "correct the value from the record of the test, or take the row out"
-    return Finding("row_disagrees", "warning", found.run, what, where, "the entries of that row", remedy)
-
-
-def _column_of_row(campaign: Campaign, found: WrongRow) -> str:
-    if found.channel is not None:
-        return campaign.channels[found.channel].name
-    return COVARIATES[f"table_{found.column}"].column
-
-
-def _record_of_row(campaign: Campaign, found: WrongRow) -> str:
-    """Return in words what in a row agrees with everything else."""
-    column, row = _column_of_row(campaign, found), f"row {found.row + 1}"
-    if not found.sd:
-        return f"'{column}' has the wrong sign in {row}"
-    if found.channel is not None:
-        return (
-            f"'{column}' alone is off in {row}: {found.agreeing:.6g} ± {found.sd:.1g} would agree, not "
-            f"{found.recorded:.6g}"
-        )
-    covariate = COVARIATES[f"table_{found.column}"]
-    table = next(run.table for run in campaign.runs if run.name == found.run)
-    zero = campaign.tables[table or ""].zero_angle if found.column == "angle" else 0.0
-    recorded, agreeing = ((value + zero) / covariate.factor() for value in (found.recorded, found.agreeing))
-    sd, unit = found.sd / covariate.factor(), covariate.unit
-    return f"all outputs of {row} are as at '{column}' = {agreeing:.4g} ± {sd:.1g} {unit}, not {recorded:.6g}"
+    """Return a row whose record is wrong, with what else would agree."""
+    records = [each.wrong_record(campaign) for each in (found, *found.rivals)]
+    best = records[0]
+    what = f"row {best.row} of run '{best.run}' would agree with {', or with '.join(map(agreement_text, records))}: "
+    what += f"{found.distance:.2g} standard deviations of the other rows"
+    where = f"{places.table(found.run)}, row {best.row}, column '{best.quantity}'"
+    return Finding(
+        "row_disagrees", "warning", found.run, what, where, "the entries of that row", record_remedy(best), best
+    )
 
 
 def _explained(
     campaign: Campaign, equal: tuple[Explanation, ...], places: Places, accepted: tuple[str, ...]
 ) -> Finding:
-    found: list[tuple[str, Issue]] = [
-        (each.mistake.kind, REMEDIES[each.mistake.kind](campaign, each, places)) for each in equal
+    records = [each.mistake.wrong_record(campaign, each.size, each.uncertainty) for each in equal]
+    found = [
+        (each.mistake.kind, _words(campaign, each, record, places)) for each, record in zip(equal, records, strict=True)
     ]
     run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""
     first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
@@ -168,8 +149,15 @@ def _explained(
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
     return Finding(
-        first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
+        first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy, records[0]
     )  # fmt: skip
+
+
+def _words(campaign: Campaign, found: Explanation, record: WrongRecord | None, places: Places) -> Issue:
+    """Return a mistake in words: those of a wrong record, or of its kind; angles of a run are off by their zero."""
+    if record is None or found.mistake.kind == TableZero.kind:
+        return REMEDIES[found.mistake.kind](campaign, found, places)
+    return issue_of(found, record, places)
 
 
 def _stops(equal: tuple[Explanation, ...]) -> bool:
@@ -188,5 +176,5 @@ def _unexplained(run: str, misfit: float, where: str) -> Finding:
     return Finding("setup_disagrees", "warning", run, what, where, "outputs that follow the nominal input", remedy)
 
 
-SETUP_FINDINGS = tuple(REMEDIES)
+SETUP_FINDINGS = tuple(dict.fromkeys(each.kind for each in MISTAKES))
 """Names of the findings about the set-up that a campaign can accept."""

@@ -16,6 +16,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.wrong_records import OPEN, WrongRecord
 
 
 def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tuple[Scope, int]]:
@@ -43,7 +44,7 @@ class ChannelOffset(Mistake):
     largest: float
     kind: ClassVar[str] = "output_offset"
     estimated: ClassVar[bool] = True
-    rarity: ClassVar[float] = 8.0
+    rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
     @property
@@ -59,6 +60,14 @@ class ChannelOffset(Mistake):
             largest = max(np.nanmax(np.abs(view.observed[:, k] - channel.offset), initial=0.0) for view in views)
             if largest > 0:
                 yield cls(scope, channel.name, k, float(largest))
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return what the outputs of the channel in the run agree with, added to them."""
+        channel = campaign.channels[self.place]
+        return WrongRecord(
+            run=self.scope.name, form="output_offset", quantity=channel.name, unit=channel.output_unit, recorded=0.0,
+            agreeing=(-size * self.largest,), sd=(sd * self.largest,) if sd else (), kind=channel.kind,
+        )  # fmt: skip
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the outputs less their error."""

@@ -33,6 +33,17 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
 )
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, feels_the_earth_alone, turns_through
 from imubayes.foundations.campaign_data import Campaign, Channel
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.wrong_records import (
+    ANGLE_UNITS,
+    GAINS,
+    NAMED_SCALE,
+    OPEN,
+    OPEN_SCALE,
+    RATE_UNITS,
+    SCALE_OF_KIND,
+    WrongRecord,
+)
 
 OUTER = ("outer", "middle")
 
@@ -148,19 +159,6 @@ class LatitudeValue(Mistake):
         return abs(size - campaign.site.latitude) < LEAST_LATITUDE
 
 
-GAINS = {
-    "gyro": {
-        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
-        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3, "a decimal place": 10.0, "one decimal place": 0.1,
-    },
-    "accelerometer": {
-        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0, "a decimal place": 10.0,
-        "one decimal place": 0.1,
-    },
-}  # fmt: skip
-"""Mistaken units of an output, and the factor by which it is too large."""
 _LOGARITHMS = tuple(np.arange(-3.0, 2.6, 0.25).tolist())  # factors of 0.05 to 12
 ORDINARY_SCALE = 0.1
 """Deviation from the nominal scale factor up to which it may be that of a poor unit rather than a mistake."""
@@ -199,9 +197,32 @@ def scale_of(channels: Sequence[str]) -> str:
     return f"scale of {', '.join(channels)}"
 
 
+def output_factor(
+    campaign: Campaign, scope: Scope, places: Sequence[int], factor: float, sd: float
+) -> WrongRecord | None:
+    """Return that the outputs of one channel in a run agree times a factor; None of other scopes."""
+    if scope.section != "run" or len(places) != 1:
+        return None
+    channel = campaign.channels[places[0]]
+    return WrongRecord(
+        run=scope.name, form="output_factor", quantity=channel.name, unit="1", recorded=1.0, agreeing=(factor,),
+        sd=(sd,) if sd else (), kind=channel.kind,
+    )  # fmt: skip
+
+
+def rate_factor(scope: Scope, factor: float, sd: float) -> WrongRecord | None:
+    """Return that the rates of a run agree times a factor; None of other scopes."""
+    if scope.section != "run":
+        return None
+    return WrongRecord(
+        run=scope.name, form="factor", quantity=COVARIATES["table_rate"].column, unit="1", recorded=1.0,
+        agreeing=(factor,), sd=(sd,) if sd else (),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class _Factor(Mistake):
-    rarity: ClassVar[float] = 8.0
+    rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = _LOGARITHMS
     usual_within: ClassVar[float] = 0.1
     open_value: ClassVar[bool] = True
@@ -228,7 +249,7 @@ class NominalScale(_Factor):
     @property
     def unlikelihood(self) -> float:
         """A scale factor is that of all runs."""
-        return self.rarity if self.scope.section == "campaign" else 20.0
+        return self.rarity if self.scope.section == "campaign" else OPEN_SCALE
 
     def negligible(self, campaign: Campaign, size: float) -> bool:
         """Return whether a poor unit may have that scale factor."""
@@ -270,6 +291,10 @@ class NominalScale(_Factor):
         alone = len(self.places) == 1 and other.kind == "table_rate" and other.scope == self.scope
         return self.of_gyros and (alone or isinstance(other, TableRates))
 
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the factor on the outputs of one channel in a run."""
+        return output_factor(campaign, self.scope, self.places, math.exp(-size), sd * math.exp(-size))
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the response of the channels."""
         response = np.array(views[place].response)
@@ -297,15 +322,6 @@ class TableRates(_Factor):
         return changed(views[place], rate=views[place].rate * math.exp(size))
 
 
-RATE_UNITS = {
-    "rpm": 6.0, "rev/s": 360.0, "rad/s": 1 / _DEGREE, "deg/min": 1 / 60, "deg/h": 1 / 3600, "mdeg/s": 1e-3,
-    "rad/h": 1 / _DEGREE / 3600,
-}  # fmt: skip
-"""Units of rate in deg/s."""
-ANGLE_UNITS = {
-    "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
-}  # fmt: skip
-"""Units of angle in degrees."""
 RATES = "table rate"
 """The rates of a table as a record."""
 _MOST_TURNS = 4
@@ -340,7 +356,7 @@ class ChannelGain(Mistake):
         """A unit or a sign is that of a channel in all runs, a unit that of all channels of a kind."""
         single = len(self.channels) == 1
         if self.scope.section == "run":
-            return (30.0 if single else 15.0) if self.units else 15.0
+            return NAMED_SCALE if self.units and single else SCALE_OF_KIND
         return (8.0 if single else 2.0) if self.units else (0.0 if single else 8.0)
 
     @classmethod
@@ -368,6 +384,10 @@ class ChannelGain(Mistake):
         if isinstance(other, RateUnit):
             return other.like(self)
         return not self.units and isinstance(other, TableSense) and other.scope == self.scope
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the factor on the outputs of one channel in a run."""
+        return output_factor(campaign, self.scope, self.places, 1 / self.factor, 0.0)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the outputs divided by the factor."""
@@ -415,6 +435,10 @@ class RateUnit(Mistake):
             return False
         same = self.scope.section == "table" if other.scope.section == "campaign" else other.scope == self.scope
         return same and abs(other.factor / RATE_UNITS[self.unit] - 1) < _SAME_FACTOR
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the factor on the rates of a run."""
+        return rate_factor(self.scope, RATE_UNITS[self.unit], 0.0)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the rate converted."""

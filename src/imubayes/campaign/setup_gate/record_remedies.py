@@ -1,4 +1,7 @@
-"""How mistakes in the recorded temperatures, rates and files are said, and the line to write instead."""
+"""How mistakes in the record of a run are said, and the line to write instead.
+
+A wrong value is said as the fit and the diagnosis say it (`foundations.wrong_records`).
+"""
 
 import math
 from collections.abc import Callable
@@ -6,27 +9,16 @@ from collections.abc import Callable
 import numpy as np
 
 from imubayes.campaign.setup_gate import thermal_mistakes as thermal
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, repeats
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, repeats
 from imubayes.campaign.setup_gate.places import Places, subject_of
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wrong_records import WrongRecord, agreement_text, correction
 
 _MOST_ROWS = 12
 _COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
-
-
-def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake = found.mistake
-    assert isinstance(mistake, thermal.TemperatureUnit)
-    columns, noun, one = _thermal_columns(mistake)
-    return Issue(
-        f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {subject_of(mistake)}",
-        places.column(mistake, _COLUMN[mistake.names[0]]),
-        "degrees Celsius",
-        f"replace T by (T - 32) / 1.8 in {columns} {subject_of(mistake)}",
-    )
 
 
 def _thermal_columns(
@@ -55,62 +47,6 @@ def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "temperatures in the order of the rows",
         f"reverse the order of {noun} {columns} {subject_of(mistake)}",
-    )
-
-
-def _temperature(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake = found.mistake
-    assert isinstance(mistake, thermal.TemperatureValue)
-    run = next(run for run in campaign.runs if run.name == mistake.scope.name)
-    recorded = float(np.mean(run.covariates[mistake.names[0]]))
-    columns, noun, _ = _thermal_columns(mistake)
-    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
-    return Issue(
-        f"the outputs of run '{run.name}' are as at a mean temperature of {recorded + found.size:.1f}{sd} °C, recorded "
-        f"{recorded:.1f}",
-        places.column(mistake, _COLUMN[mistake.names[0]]),
-        "the temperature that the unit had",
-        f"state the temperature as it was: {found.size:+.1f} °C would agree in {noun} {columns} {subject_of(mistake)}",
-    )
-
-
-def _temperatures(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake = found.mistake
-    assert isinstance(mistake, thermal.TemperaturesExchanged)
-    first, second = mistake.scope.name, mistake.second
-    return Issue(
-        f"the temperatures of runs '{first}' and '{second}' are exchanged",
-        f"{places.column(mistake, _COLUMN['temperature'])}, and {places.table(second)}",
-        "the temperatures of the run itself",
-        f"exchange column '{_COLUMN['temperature']}' of {places.file(first)} and {places.file(second)}",
-    )
-
-
-def _other_unit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    run = found.mistake.scope.name
-    return Issue(
-        f"run '{run}' is of another unit: scale factors, axes and biases of all its channels are unlike those of the "
-        "other runs",
-        places.line("run", run, "file"),
-        "runs of one unit",
-        f"name the file of this unit for run '{run}', or leave the run out",
-    )
-
-
-def _offset(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake = found.mistake
-    assert isinstance(mistake, ChannelOffset)
-    channel, run = campaign.channels[mistake.place], mistake.scope.name
-    digits = max(2, 1 + math.floor(math.log10(abs(found.size) / found.uncertainty))) if found.uncertainty else 4
-    size = f"{found.size * mistake.largest:+.{min(digits, 9)}g}"
-    sd = f" ± {found.uncertainty * mistake.largest:.1g}" if found.uncertainty else ""
-    return Issue(
-        f"the outputs of channel '{channel.name}' are off by {size}{sd} {channel.output_unit} in run '{run}', in all "
-        "rows alike",
-        places.column(mistake, channel.name),
-        "outputs with the bias of the other runs",
-        f"subtract {size} from column '{channel.name}' of {places.file(run)} if its zero was moved, or leave the run "
-        "out",
     )
 
 
@@ -167,14 +103,30 @@ def _no_rates(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
+_ALLOWED = {
+    "offset": "the value that the unit, or the table, had in the run",
+    "factor": "the rate that the table had in the run",
+    "output_offset": "outputs with the bias of the other runs",
+    "output_factor": "outputs in 'output_unit', 'scale' of them per 'per'",
+    "exchange": "the values of the run itself",
+    "unit": "runs of one unit",
+}
+
+
+def issue_of(found: Explanation, record: WrongRecord, places: Places) -> Issue:
+    """Return what is wrong in the record of a run as an issue."""
+    where = places.column(found.mistake, record.quantity.split(" and ")[0])
+    if record.form == "unit":
+        where = places.line("run", record.run, "file")
+    if record.other:
+        where += f", and {places.table(record.other)}"
+    what = f"run '{record.run}' would agree with {agreement_text(record)}"
+    return Issue(what, where, _ALLOWED[record.form], correction(record))
+
+
 RECORD_REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
-    "temperature_unit": _fahrenheit,
     "thermometers_exchanged": _thermometers,
     "temperature_reversed": _backwards,
-    "temperature_value": _temperature,
-    "temperatures_exchanged": _temperatures,
-    "other_unit": _other_unit,
-    "output_offset": _offset,
     "outputs_apart": _apart,
     "rate_without_sign": _unsigned,
     "rates_missing": _no_rates,

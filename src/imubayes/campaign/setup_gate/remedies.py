@@ -300,19 +300,6 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
-def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    run = found.mistake.scope.name
-    large, digits = math.exp(-found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
-    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
-    return Issue(
-        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times that of the outputs, "
-        "relative to the other runs",
-        places.column(found.mistake, "table_rate_deg_s"),
-        "the rate that the table had in the run",
-        f"divide 'table_rate_deg_s' by {large:.{digits}f} in {places.file(run)}, or state the rate as it was measured",
-    )
-
-
 def _axis(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, seats.InputAxisWrong)
     channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes
@@ -341,7 +328,6 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = RECORD_R
     "axes_exchanged": _channels,
     "channel_unit": _gain,
     "rate_unit": _rate,
-    "table_rate": _rate_factor,
     "angle_unit": _unit,
     "time_shift": _time,
     "mounting_wrong": _matrix,

@@ -5,7 +5,7 @@ and rivals the mistakes that have a name: degrees Fahrenheit, exchanged columns,
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -14,6 +14,8 @@ import numpy as np
 from imubayes.campaign.setup_gate.equipment_mistakes import Concealed, Mistake, Scope, all_runs, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.wrong_records import OPEN, WrongRecord, celsius
 
 _LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
 _MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
@@ -62,6 +64,17 @@ class OfTemperatures(Mistake):
         """Temperatures."""
         return SENSOR
 
+    def _of_run(
+        self, campaign: Campaign, names: Sequence[str], agreeing: Callable[[float], float], sd: float
+    ) -> WrongRecord:
+        """Return the mean temperature of the run that agrees with its outputs, as a function of that recorded."""
+        run = next(run for run in campaign.runs if run.name == self.scope.name)
+        recorded = float(np.mean(run.covariates[names[0]]))
+        return WrongRecord(
+            run=run.name, form="offset", quantity=" and ".join(COVARIATES[name].column for name in names),
+            unit=COVARIATES[names[0]].unit, recorded=recorded, agreeing=(agreeing(recorded),), sd=(sd,) if sd else (),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class TemperatureUnit(OfTemperatures):
@@ -82,14 +95,17 @@ class TemperatureUnit(OfTemperatures):
                 if scope.section == "run" and _among_others(mistake, views):
                     yield mistake
 
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the mean temperature in °C."""
+        return self._of_run(campaign, self.names, celsius, 0.0)
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its temperatures in °C."""
         view = views[place]
         return changed(
             view,
             temperatures={
-                name: (values - 32) / 1.8 if name in self.names else values
-                for name, values in view.temperatures.items()
+                name: celsius(values) if name in self.names else values for name, values in view.temperatures.items()
             },
         )
 
@@ -160,7 +176,7 @@ class TemperatureValue(OfTemperatures):
     open_value: ClassVar[bool] = True
     per_radian: ClassVar[float] = 100.0
     settled: ClassVar[float] = 1.0
-    rarity: ClassVar[float] = 8.0
+    rarity: ClassVar[float] = OPEN
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -183,6 +199,10 @@ class TemperatureValue(OfTemperatures):
     def possible(self, size: float) -> bool:
         """Return whether other runs tell what the outputs are at such temperatures."""
         return self.reach[0] < size < self.reach[1] and abs(size) > _LEAST_COURSE
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the other mean temperature."""
+        return self._of_run(campaign, self.names, lambda recorded: recorded + size, sd)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run at the other temperature."""
@@ -207,6 +227,13 @@ class TemperaturesExchanged(OfTemperatures):
             one, other = mean[first], mean[second]
             if one.keys() == other.keys() and any(abs(one[name] - other[name]) > _LEAST_COURSE for name in one):
                 yield cls(Scope("run", views[first].name, (first, second)), views[second].name, second)
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the exchange."""
+        return WrongRecord(
+            run=self.scope.name, form="exchange", quantity=COVARIATES[SENSOR].column, unit="1", recorded=0.0,
+            agreeing=(1.0,), other=self.second,
+        )  # fmt: skip
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the temperatures of the other."""

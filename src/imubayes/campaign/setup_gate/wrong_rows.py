@@ -18,9 +18,11 @@ import numpy as np
 from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, has_angles, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
-from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale
+from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale, rate_factor
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.wrong_records import OPEN, Form, WrongRecord
 
 STANDS_OUT = 5.0
 """How many times as far off as the next a row has to be: what a linear model leaves out grows toward the largest
@@ -68,6 +70,27 @@ class WrongRow:
     distance: float
     channel: int | None = None
     rivals: "tuple[WrongRow, ...]" = ()
+
+    def wrong_record(self, campaign: Campaign) -> WrongRecord:
+        """Return what is wrong in the record of the row, in the units of the record."""
+        channel = None if self.channel is None else campaign.channels[self.channel]
+        form: Form
+        if channel is not None:
+            quantity, kind, unit, form = channel.name, channel.kind, channel.output_unit, "output_offset"
+            recorded, agreeing, sd = 0.0, self.agreeing - self.recorded, self.sd
+        else:
+            covariate = COVARIATES[f"table_{self.column}"]
+            table = next(run.table for run in campaign.runs if run.name == self.run)
+            zero = campaign.tables[table or ""].zero_angle if self.column == "angle" else 0.0
+            quantity, kind, unit, form = covariate.column, "", covariate.unit, "offset"
+            recorded, agreeing = ((value + zero) / covariate.factor() for value in (self.recorded, self.agreeing))
+            sd = self.sd / covariate.factor()
+        if not sd:  # a reversed sign
+            form, unit, recorded, agreeing = "factor" if channel is None else "output_factor", "1", 1.0, -1.0
+        return WrongRecord(
+            run=self.run, row=self.row + 1, form=form, quantity=quantity, unit=unit, recorded=recorded,
+            agreeing=(agreeing,), sd=(sd,) if sd else (), kind=kind,
+        )  # fmt: skip
 
 
 def wrong_rows(campaign: Campaign) -> list[WrongRow]:
@@ -312,7 +335,7 @@ class RateFactor(Mistake):
 
     kind: ClassVar[str] = "table_rate"
     estimated: ClassVar[bool] = True
-    rarity: ClassVar[float] = 8.0
+    rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
     usual_within: ClassVar[float] = 0.02
     open_value: ClassVar[bool] = True
@@ -335,6 +358,11 @@ class RateFactor(Mistake):
     def like(self, other: Mistake) -> bool:
         """Return whether another is the scale factor of one gyro in the run, alike if it alone sees the rate."""
         return isinstance(other, NominalScale) and other.scope == self.scope and len(other.places) == 1
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the factor on the rates of the run."""
+        factor = float(np.exp(size))
+        return rate_factor(self.scope, factor, sd * factor)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its rates multiplied."""

@@ -72,6 +72,7 @@ class ChannelRows:
     tails : degrees of freedom of heavy tails that the model's prior allows, likewise.
     correlations : correlation in time that the model states, at each size that its prior allows.
     noise : of the median row, at the input, rad/s or m/s²; 0 where it is not known.
+    runs : run of each of `series`; empty if it is not known, as of closing rotations.
     """
 
     name: str
@@ -87,6 +88,7 @@ class ChannelRows:
     tails: Grid = ()
     correlations: tuple[RowCorrelation, ...] = ()
     noise: float = 0.0
+    runs: tuple[int, ...] = ()
 
     @property
     def input_varies(self) -> bool:
@@ -230,6 +232,7 @@ def _rows_of(
         tails=_prior_grid(at, channel, TailNoise),
         correlations=correlations,
         noise=abs(noise / own.scale_si) if own.kind != "angle" else 0.0,
+        runs=tuple(int(model.entries.run[part[0]]) for part in parts),
     )
 
 

@@ -30,7 +30,9 @@ from imubayes.criticism.evidence import linear_problem as linear
 
 _BLOCK = 64
 """Rows that are filtered by one matrix.  Numerical: a compromise of loops and products."""
-Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
+_RAISED = 2.0
+"""Ratio of the scatter of a run to that of the others from which its count of samples is doubted (convention)."""
+Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs", "counts"]
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,27 @@ class InputNoise(NoiseStructure):
 
 
 @dataclass(frozen=True)
+class RunNoise(NoiseStructure):
+    """White noise of one run `ratio` times as large as its stated count of samples says."""
+
+    run: int = 0
+    ratio: float = 1.0
+
+    @property
+    def is_white(self) -> bool:
+        return False
+
+    def whiten(self, rows: linear.ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return columns with the rows of the run divided by the ratio."""
+        if self.run not in rows.runs:
+            return columns, 0.0
+        start, length = rows.series[rows.runs.index(self.run)]
+        found = columns.copy()
+        found[start : start + length] /= self.ratio
+        return found, -length * math.log(self.ratio)
+
+
+@dataclass(frozen=True)
 class HeavyTails(NoiseStructure):
     """Student's t with `degrees` of freedom; its weights are a matter of the fit."""
 
@@ -161,6 +184,7 @@ _STRUCTURES: tuple[NoiseStructure, ...] = (
     TAILED,
     HeavyTails("tails", True, 2.0),
 )
+_MEDIAN_STEP = 0.6745 * math.sqrt(2.0)  # of the difference of two rows of standard deviation 1
 _SCATTERS = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Standard deviations of offsets of runs that a model does not have, in units of the noise of a row."""
 
@@ -245,7 +269,29 @@ def noise_units(problem: linear.LinearProblem) -> tuple[NoiseUnit, ...]:
     opened = any(rows.run_scatter or rows.tails or rows.correlations for rows in problem.rows)
     shared = {k: k if opened or kind == "closure" else kind for k, kind in kinds.items()}
     groups = [tuple(k for k in shared if shared[k] == owner) for owner in dict.fromkeys(shared.values())]
-    return tuple(_unit(problem, each) for each in groups)
+    raised = tuple(_raised(problem))
+    return tuple(_unit(problem, each, raised) for each in groups)
+
+
+def _raised(problem: linear.LinearProblem) -> Iterator[RunNoise]:
+    """Yield the runs whose rows scatter more than those of the others, on all channels alike, with the ratio.
+
+    The scatter is that of the residual of the fit from row to row, which a course within a run does not raise; its
+    median is not raised by single rows.
+    """
+    typical: dict[int, list[float]] = {}
+    squares: dict[int, list[np.ndarray]] = {}
+    for rows in (each for each in problem.of_channels if each.runs):
+        steps = [np.abs(np.diff(rows.columns[start : start + length, -1])) for start, length in rows.series]
+        own = [float(np.median(each)) if len(each) > 2 else 0.0 for each in steps]
+        usual = float(np.median(own)) if len(own) > 2 else 0.0
+        for run, each, median in zip(rows.runs, steps, own, strict=True):
+            if usual > 0:
+                typical.setdefault(run, []).append(median / usual)
+                squares.setdefault(run, []).append((each * _MEDIAN_STEP / usual) ** 2)
+    for run, each in typical.items():
+        if min(each) > _RAISED:
+            yield RunNoise("counts", False, run, math.sqrt(float(np.concatenate(squares[run]).mean()) / 2))
 
 
 def log_prior_of_sisters(
@@ -277,9 +323,9 @@ def log_prior_of_sisters(
     return found
 
 
-def _unit(problem: linear.LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
+def _unit(problem: linear.LinearProblem, channels: tuple[int, ...], raised: Sequence[RunNoise]) -> NoiseUnit:
     own = problem.rows[channels[0]]
-    others = _others(own)
+    others = _others(own, raised)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
@@ -302,7 +348,7 @@ def _stated(rows: linear.ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
     return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
 
 
-def _others(rows: linear.ChannelRows) -> list[NoiseStructure]:
+def _others(rows: linear.ChannelRows, raised: Sequence[RunNoise]) -> list[NoiseStructure]:
     """Return the structures other than stated.
 
     That of a gyro may grow with an input that varies.  Turns follow one another as the hand makes them, and their
@@ -311,7 +357,8 @@ def _others(rows: linear.ChannelRows) -> list[NoiseStructure]:
     if rows.kind == "closure":
         return [each for each in _STRUCTURES if each.family == "tails"]
     grows = rows.kind == "gyro" and rows.input_varies
-    return [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
+    own = [each for each in raised if each.run in rows.runs]
+    return [*(each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)), *own]
 
 
 def _other_noise(

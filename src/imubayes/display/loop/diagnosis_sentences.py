@@ -7,7 +7,7 @@ the others, a sentence states what would make it agree.
 import math
 from collections.abc import Iterable, Iterator
 
-from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement, NoiseComparison
+from imubayes.adequacy.adequacy_record import Disagreement, NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import (
@@ -19,9 +19,10 @@ from imubayes.criticism.explanation_records import (
     FoundNoise,
     FoundStep,
 )
-from imubayes.display.fit_cautions import agreement_text, contradiction_text, noise_ratio
+from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
 from imubayes.foundations.wording import counted
+from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
@@ -29,6 +30,7 @@ _PRIOR_DOUBT = 2.0
 _NOISE = {
     "known": "noise as stated", "scale": "white noise", "correlated": "correlated rows",
     "wander": "a random walk", "rate": "noise that grows with the input", "tails": "heavy tails",
+    "counts": "white noise of one run",
     "runs": "scatter between runs",
 }  # fmt: skip
 _KINDS: dict[Explanation, str] = {
@@ -146,7 +148,7 @@ def place_text(found: Disagreement) -> str:
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
 
 
-def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
+def _prior_sentence(best: WrongRecord, chance: str, adverb: str) -> str:
     return (
         f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
         f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
@@ -163,14 +165,13 @@ def _sentence(found: Disagreement, probability: float) -> str:
     best, *others = found.causes
     if best.form == "prior":
         return _prior_sentence(best, chance, adverb)
-    said += f" It would agree with {agreement_text(best, found.row)}."
+    said += f" It would agree with {agreement_text(best)}."
     if others:
-        said += (
-            f" It would agree as well with {'; or '.join(agreement_text(each, found.row) for each in others[:_MOST])}."
-        )
+        said += f" It would agree as well with {'; or '.join(agreement_text(each) for each in others[:_MOST])}."
     if found.instead:
         said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
-    return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
+    do = record_remedy(best)
+    return f"{said} {do[0].upper()}{do[1:]}; then fit again."
 
 
 _MOST_NAMED = 3
@@ -217,6 +218,10 @@ def _finding(found: diagnosis.Diagnosis) -> str:
     kind, (adverb, chance) = evidence.leading.kind, likely(evidence.leading.probability)
     if kind == "nothing":
         return _adequate_sentence(found)
+    if found.disagreeing:
+        beside = _missing_sentence(found) if found.groups and kind == "input" else ""
+        said = " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
+        return f"{said} With the record corrected: {beside}" if beside else said
     if kind == "noise":
         rest = "With the noise corrected, no effect is missing." if found.suggested else "No effect explains it."
         return f"The noise is{adverb} not as modelled{chance}: {noise_text(evidence.noise)}. {rest}"
@@ -224,9 +229,6 @@ def _finding(found: diagnosis.Diagnosis) -> str:
     if kind == "effects":
         noise = noise_text(evidence.noise)
         return beside + (f" The noise is not as modelled either: {noise}." if noise else "")
-    if kind == "input":
-        said = " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
-        return f"{said} With the record corrected: {beside}" if beside else said
     assert evidence.form is not None
     said = (
         f"A cause outside the catalogue{adverb} acts{chance}: {form_text(evidence.form)}. No effect of the catalogue "
