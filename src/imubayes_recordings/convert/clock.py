@@ -150,6 +150,9 @@ def _clock(
     rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
     channels = [values[name] for name in SIX if name in values]
     lost = _dropped(values.get(COUNTER), filled)
+    if TIME in values and not np.isfinite(values[TIME]).any():
+        lost += (f"the column of the time, {table.columns[TIME].position + 1}, is empty: not used",)
+        values = {name: column for name, column in values.items() if name != TIME}
     if rate is not None:
         return Clock(np.arange(rows)[filled] / rate, filled, "", "", lost)
     if TIME in values:
