@@ -30,7 +30,7 @@ from imubayes_recordings.convert.column_names import (
 )
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.recording import SourceRecording, Topic, first_rows, read_columns
-from imubayes_recordings.convert.unnamed_columns import infer_layout, rest_means, unit_of_gravity
+from imubayes_recordings.convert.unnamed_columns import infer_layout, parted_seconds, rest_means, unit_of_gravity
 
 TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
 
@@ -39,13 +39,14 @@ TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
 class ChosenColumn:
     """A column that is read: its position from 0, its sign, and the unit that name or recording state.
 
-    `added` is the position of a column that is added to it.
+    `added` is the position of a column that is added to it, times `factor`.
     """
 
     position: int
     unit: str = ""
     sign: float = 1.0
     added: int | None = None
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ def chosen_columns(recording: SourceRecording, topic: Topic, options: ConvertOpt
     try:
         named, left = _by_name(table, roles, stated)
         columns = _with_gravity(topic, stated | named, options)
+        if TIME not in columns and (parted := _parted_time(table, roles)):
+            columns |= {TIME: parted}
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns, left=left), roles, options)
@@ -373,6 +376,18 @@ def _beside(
     return columns, tuple(left)
 
 
+def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> ChosenColumn | None:
+    """Return a time in whole seconds with its fraction in a column beside it, as ROS writes `secs` and `nsecs`."""
+    times = {place: role for place, role in enumerate(roles) if role is not None and role.target == TIME}
+    for place, role in times.items():
+        beside = times.get(place + 1)
+        if role.unit == "s" and beside and beside.unit in ("ms", "us", "ns") and beside.group == role.group:
+            factor = TIME_UNITS[beside.unit]
+            if parted_seconds(first_rows(table.recording, table.topic, [place, place + 1]) * [1.0, factor]) == 0:
+                return ChosenColumn(place, "s", added=place + 1, factor=factor)
+    return None
+
+
 def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:
     """Return target → columns of what is no channel; a date and a time of day only where there is no other time."""
     found: dict[str, list[int]] = {}
@@ -398,7 +413,7 @@ def values_of(table: ChosenTable) -> dict[str, np.ndarray]:
     read = dict(zip(places, read_columns(table.recording, table.topic, places).T, strict=True))
 
     def values(one: ChosenColumn) -> np.ndarray:
-        plain = read[one.position] if one.added is None else read[one.position] + read[one.added]
+        plain = read[one.position] if one.added is None else read[one.position] + one.factor * read[one.added]
         return plain if one.sign > 0 else -plain
 
     return {name: values(one) for name, one in table.columns.items()}

@@ -114,7 +114,7 @@ _TIMES = _words(
     "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
     " zeit zeitstempel tow sow itow datenum"
 )
-_OF_ORIGIN = _words("since from start boot reboot unix")
+_OF_ORIGIN = _words("since from in start boot reboot unix")
 _TEMPERATURES = {"temp", "temperature", "tmp", "temperatures", "temperatur"}  # `temps` is a time in French
 _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
 _AXES = ("x", "y", "z")
@@ -286,6 +286,20 @@ def _parts_of_force(names: Sequence[str]) -> dict[str, dict[str, tuple[int, str]
     return found
 
 
+def names_gravity(words: Sequence[str]) -> bool:
+    """Tell whether words name gravity, apart from the reading of the accelerometers."""
+    return bool(set(words) & _GRAVITY)
+
+
+def axis_and_words(name: str) -> tuple[str, tuple[str, ...]]:
+    """Return the axis of a name and its other words; no axis if it has none or several, or is of another quantity."""
+    words = words_of(_BRACKETED.sub(" ", name))
+    axes = [word for word in words if word in _AXES]
+    if len(axes) != 1 or set(words) & _NEITHER:
+        return "", ()
+    return axes[0], tuple(word for word in words if word not in _AXES)
+
+
 def quantity_of(words: set[str], unit: str) -> str:
     """Return ``a`` or ``g`` for words that name an accelerometer or a gyro, or by the unit; else empty."""
     angular = bool(words & {"angular", "rotation", "gyro", "gyr"})
@@ -332,7 +346,7 @@ def _last_unit(words: list[str]) -> str:
 def _beside(words: list[str], unit: str) -> ColumnRole | None:
     """Return the role of a time, a temperature or a counter."""
     known = set(words)
-    group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
+    group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES | _OF_ORIGIN)
     if known & _TEMPERATURES or _is_warmth(words, unit):
         return ColumnRole(TEMPERATURE, unit, group)
     written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")

@@ -9,6 +9,7 @@ import numpy as np
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes_recordings.convert.column_choice import TRIPLES, ChosenTable, chosen_columns
 from imubayes_recordings.convert.column_names import quantity_of, role_of, words_of
+from imubayes_recordings.convert.gravity_file import with_gravity
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.recording import SourceRecording, Topic, described, read_columns
 from imubayes_recordings.convert.unnamed_columns import READ, rest_means, unit_of_gravity
@@ -25,7 +26,7 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
         where no column is a channel, more than one choice is possible, or a stated column is missing; with what the
         recordings hold.
     """
-    found = _topics(recordings, options)
+    found = _topics(with_gravity(recordings), options)
     alone = len(found) == 1
     tables = [chosen_columns(recording, topic, options, alone) for recording, topic in found]
     stated = [table for table in tables if set(options.columns) & set(table.columns)]

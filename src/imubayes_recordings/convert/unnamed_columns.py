@@ -92,7 +92,7 @@ def parted_seconds(values: np.ndarray) -> int | None:
     Logs of navigation receivers write week, second of the week, and fraction of the second.
     """
     values = values[: min(READ, len(values))]
-    for place in range(min(_LEADING, values.shape[1] - 4)):
+    for place in range(min(_LEADING, values.shape[1] - 1)):
         whole, fraction = np.asarray(values[:, place]), np.asarray(values[:, place + 1])
         step, time = np.diff(whole), np.diff(whole + fraction)
         parted = (whole % 1 == 0).all() and (fraction >= 0).all() and (fraction < 1).all() and np.ptp(fraction) > 0

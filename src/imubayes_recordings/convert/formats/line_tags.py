@@ -14,6 +14,7 @@ from imubayes_recordings.convert.formats.cell_values import CellKind, is_number,
 
 _MOST_TAGS = 12
 FEW = 6  # lines that show what is usual
+_ONE_SENSOR = 7  # cells of a line at most: a number, two times, three readings and their accuracy
 _LEAST_CHANGES = 5  # from one number to another, among the first lines
 
 
@@ -76,7 +77,8 @@ def find_tags(
     above : cells of all lines above the data.
     """
     rows = [row for row in sample if len(row) > 2]
-    if len(rows) < len(sample) or not rows:
+    roles = {role.target for name in names if (role := role_of(name))} if named else set()
+    if len(rows) < len(sample) or not rows or {"ax", "gx"} <= roles:
         return None
     listed = {_last_word(cells[0]): tuple(cells[1:]) for cells in above if cells}
     first = [plain_tag(row[0]) for row in rows]
@@ -115,7 +117,8 @@ def _tag_column(rows: Sequence[Sequence[str]], named: bool) -> int | None:
             return place
         if place == 0 and len(distinct) == 1 and sensors and not named and len(rows) >= FEW:
             return place
-    return 0 if not named and _are_numbers([row[0] for row in rows], [row[1] for row in rows]) else None
+    narrow = min(map(len, rows)) <= _ONE_SENSOR
+    return 0 if narrow and not named and _are_numbers([row[0] for row in rows], [row[1] for row in rows]) else None
 
 
 def _are_numbers(first: Sequence[str], second: Sequence[str]) -> bool:
