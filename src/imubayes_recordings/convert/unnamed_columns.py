@@ -19,6 +19,7 @@ _NEAR_GRAVITY = 0.12  # largest bias and scale factor error together, relative t
 _WINDOW = 50  # samples, of which the mean is at rest where their scatter is small
 _QUIET = 0.3  # share of the windows that rest, at least
 _STILL = 10.0  # deg/s is more than the bias of a gyro; in rad/s it is any rate by hand
+_ONE_DIRECTION = 0.9  # of the mean of unit vectors; 1 if all are the same
 _LEADING = 3  # columns among which whole seconds are sought
 _TORN = 1e-3  # share of the rows that may be late
 READ = 400_000  # samples that are looked at
@@ -168,6 +169,8 @@ def _of_three(heavy: _Triple, kind: str) -> GuessedColumns | None:
 def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) -> GuessedColumns | None:
     """Return the only three columns that read g, and the gyros behind or before them."""
     fits = [place for place, each in enumerate(heavy) if each.unit]
+    if len(fits) > 1:  # a bias of 1 deg/s has the size of 1 g, and one direction
+        fits = [place for place in fits if _turns(rest[:, heavy[place].places])] or fits
     if len(fits) != 1 or len(heavy) < 2 or fits[0] > 1:
         return None
     forces = heavy[fits[0]]
@@ -176,6 +179,12 @@ def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) 
     if len(found) != 1:  # a magnetometer before them reads little as well
         return None
     return GuessedColumns(_three(ACCELEROMETERS, forces.places) | _three(GYROS, found[0]), forces.told)
+
+
+def _turns(rest: np.ndarray) -> bool:
+    """Tell whether the direction of three columns differs from rest to rest, (n, 3)."""
+    unit = rest / np.maximum(np.linalg.norm(rest, axis=1, keepdims=True), 1e-300)
+    return float(np.linalg.norm(unit.mean(axis=0))) < _ONE_DIRECTION
 
 
 def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Triple]) -> GuessedColumns | None:
@@ -226,7 +235,7 @@ def _refusal(
         f"{numbers[place]} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
     ]
     fits = [each.first for each in heavy if each.unit]
-    first = fits[0] if len(fits) == 1 else numbers[1 if clock == 0 else 0]
+    first = fits[0] if fits else numbers[1 if clock == 0 else 0]
     example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
     time = "" if clock is None else f" --column time_s={numbers[clock]}"
     issue = Issue(
