@@ -230,7 +230,8 @@ def _without_names(
     columns |= dict(stated)
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
-    return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+    evidence = layout.evidence if not topic.kind else ""  # stated
+    return replace(table, columns=columns, evidence=evidence, left=_labels(topic))
 
 
 def _by_number(table: ChosenTable, stated: Mapping[str, ChosenColumn], alone: bool) -> ChosenTable:

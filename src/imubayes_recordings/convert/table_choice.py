@@ -128,11 +128,13 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
         names = [name or str(place) for place, name in enumerate(table.topic.names, 1)]
         listed.append(f"{described(table.topic)}: {', '.join(names[:16])}{', …' if len(names) > 16 else ''}")
     why = f"; {faults[0].what}" if faults else ""
+    unnamed = [table.topic.name for table in tables if table.topic.name and not table.topic.named]
+    kinds = f"; or the kind of a topic: --topic acc={unnamed[0]} or --topic gyro={unnamed[0]}" if unnamed else ""
     return Issue(
         f"no columns are named as those of accelerometers or gyros{why}",
         ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
         "; ".join(listed),
-        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax ay az, gx gy gz)",
+        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax ay az, gx gy gz)" + kinds,
     )
 
 
