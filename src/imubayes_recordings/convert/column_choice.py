@@ -265,6 +265,7 @@ def _by_name(
     """Return the channels that names say, and their scatter: of each kind all three axes, of one sensor; and notes."""
     chosen: dict[str, ChosenColumn] = {}
     left: list[str] = []
+    issues: list[Issue] = []
     for names in TRIPLES.values():
         wanted = [name for name in names if name not in stated]
         sensors: dict[tuple[str, ...], _Sensor] = {}
@@ -273,10 +274,17 @@ def _by_name(
                 sensors.setdefault(role.group, {}).setdefault(role.target, []).append(place)
         others = {group: own for group, own in sensors.items() if not set(group) & WITHOUT_GRAVITY}
         sensors = others or sensors  # accelerations that the device makes of the readings are none
-        if sensors:
+        if not sensors:
+            continue
+        try:
             own, why = _one_sensor(table, list(sensors.values()), wanted)
-            chosen |= {name: _column(own[name], roles) for name in wanted}
-            left += [why] if why else []
+        except InputError as error:
+            issues += error.issues
+            continue
+        chosen |= {name: _column(own[name], roles) for name in wanted}
+        left += [why] if why else []
+    if issues:
+        raise InputError(issues)
     return chosen | _scatter(roles, chosen), tuple(left)
 
 
