@@ -216,10 +216,10 @@ def test_a_mapping_of_numbered_lines_reads_others_of_the_kind(tmp_path: Path, tu
     assert_readings(read_recordings(files, mapping=tmp_path / "mapping.toml"), turned)
 
 
-def test_lines_told_apart_by_a_number_ask_which_is_which(tmp_path: Path, turned: Readings) -> None:  # noqa: F811
+def test_lines_that_a_number_distinguishes_ask_which_is_which(tmp_path: Path, turned: Readings) -> None:  # noqa: F811
     files = numbered(tmp_path, *turned)
     with pytest.raises(
-        InputError, match=r"a number tells apart: '4' \(.* at rest\), '1' \(9.* at rest: g in m/s\^2\)"
+        InputError, match=r"a number distinguishes: '4' \(.* at rest\), '1' \(9.* at rest: g in m/s\^2\)"
     ) as asked:
         read_recordings(files, latitude_deg=48)
     assert asked.value.issues[0].remedy == "state it: --topic acc=1 --topic gyro=4"
@@ -260,3 +260,23 @@ def test_words_beside_six_named_channels_are_no_sensors(tmp_path: Path, turned: 
     assert_readings(
         read_recordings(table(tmp_path / "log.csv", f"t,activity,{','.join((*FORCE, *RATE))}", columns)), turned
     )
+
+
+def test_all_sensors_that_cannot_be_chosen_are_named_at_once(tmp_path: Path, turned: Readings) -> None:  # noqa: F811
+    names = [f"{state}{kind}{axis}" for state in ("UnComp", "") for kind in ("Acc", "Gyro") for axis in "XYZ"]
+    columns = [np.arange(len(turned[0])) / HZ, *turned[0].T, *turned[1].T, *turned[0].T, *turned[1].T]
+    with pytest.raises(InputError) as refused:
+        read_recordings(table(tmp_path / "log.csv", ",".join(["Time", *names]), columns), latitude_deg=48)
+    assert [issue.what for issue in refused.value.issues] == [
+        "2 sets of columns may be ax ay az",
+        "2 sets of columns may be gx gy gz",
+    ]
+
+
+def test_g_is_said_to_be_the_gravity_of_the_site(tmp_path: Path, turned: Readings) -> None:  # noqa: F811
+    def notes(gravity: float) -> str:
+        read = read_recordings(since_the_epoch(tmp_path, *turned), latitude_deg=48, gravity_m_s2=gravity)
+        return "\n".join(read.campaign.document["notes"])
+
+    assert "larger by 214 ppm than in its own unit" in notes(9.80875)
+    assert "gravity of the site" not in notes(9.80666)

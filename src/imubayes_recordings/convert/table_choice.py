@@ -144,9 +144,9 @@ def _numbered_lines(tables: Sequence[ChosenTable]) -> Issue:
     listed = [f"'{name}' ({size:.4g} at rest{f': g in {unit}' if unit else ''})" for name, (unit, size) in seen.items()]
     heavy = sorted(seen, key=lambda name: not seen[name][0])  # accelerometers first
     return Issue(
-        f"the lines are of several kinds, which a number tells apart: {', '.join(listed)}",
+        f"the lines are of several kinds, which a number distinguishes: {', '.join(listed)}",
         tables[0].topic.where,
-        "lines that say by a word, or an option, which are of the accelerometers and which of the gyros",
+        "lines that say by a word, or an option which are of the accelerometers and which of the gyros",
         f"state it: --topic acc={heavy[0]} --topic gyro={heavy[-1]}",
     )
 
