@@ -30,7 +30,13 @@ from imubayes_recordings.convert.column_names import (
 )
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.recording import SourceRecording, Topic, first_rows, read_columns
-from imubayes_recordings.convert.unnamed_columns import infer_layout, parted_seconds, rest_means, unit_of_gravity
+from imubayes_recordings.convert.unnamed_columns import (
+    GuessedColumns,
+    infer_layout,
+    parted_seconds,
+    rest_means,
+    unit_of_gravity,
+)
 
 TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
 
@@ -99,9 +105,7 @@ def chosen_columns(recording: SourceRecording, topic: Topic, options: ConvertOpt
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
         named, left = _by_name(table, roles, stated)
-        columns = _with_gravity(topic, stated | named, options)
-        if TIME not in columns and (parted := _parted_time(table, roles)):
-            columns |= {TIME: parted}
+        columns = _parted_time(table, roles) | _with_gravity(topic, stated | named, options)
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns, left=left), roles, options)
@@ -223,15 +227,20 @@ def _without_names(
         layout = infer_layout(values, hinted_kind(topic, recording), topic.where, names, numbers)
     except InputError as error:
         return replace(table, faults=error.issues)
-    units = {"a": "m/s", "g": "rad"} if layout.increments else {}
-    columns = {target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()}
-    if layout.fraction is not None:
-        columns[TIME] = replace(columns[TIME], unit="s", added=read[layout.fraction])
-    columns |= dict(stated)
+    columns = _guessed_columns(layout, read) | dict(stated)
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
     evidence = layout.evidence if not topic.kind else ""  # stated
     return replace(table, columns=columns, evidence=evidence, left=_labels(topic))
+
+
+def _guessed_columns(layout: GuessedColumns, read: Sequence[int]) -> dict[str, ChosenColumn]:
+    """Return the columns of a guess over some columns of a topic."""
+    units = {"a": "m/s", "g": "rad"} if layout.increments else {}
+    columns = {target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()}
+    if layout.fraction is not None:
+        columns[TIME] = replace(columns[TIME], unit="s", added=read[layout.fraction])
+    return columns
 
 
 def _by_number(table: ChosenTable, stated: Mapping[str, ChosenColumn], alone: bool) -> ChosenTable:
@@ -313,9 +322,9 @@ def _one_sensor(table: ChosenTable, sensors: Sequence[_Sensor], wanted: Sequence
     """Return the columns of the only sensor that has all axes, and why it was chosen of several."""
     topic, names = table.topic, table.topic.names
     whole = [own for own in sensors if len(own) == len(wanted)]
-    if tuple(wanted) == ACCELEROMETERS and (heavy := _heavy(table, [part for own in whole for part in _parted(own)])):
-        others = ", ".join(names[place] for own in whole for places in own.values() for place in places)
-        return heavy, f"of {others}, only {', '.join(names[place] for place in heavy.values())} read g at rest"
+    if tuple(wanted) == ACCELEROMETERS and (heavy := _heavy(table, whole)):
+        listed = ", ".join(names[place] for place in heavy.values())
+        return heavy, f"{listed} read g at rest: no other columns of accelerometers do"
     candidates = [own for own in whole if any(names[places[0]] in SIX for places in own.values())] or whole
     if not candidates:
         raise _incomplete(topic, max(sensors, key=len), wanted)
@@ -333,8 +342,9 @@ def _parted(sensor: _Sensor) -> list[dict[str, int]]:
     return [{name: places[k] for name, places in sensor.items()} for k in range(count)]
 
 
-def _heavy(table: ChosenTable, candidates: Sequence[Mapping[str, int]]) -> dict[str, int]:
+def _heavy(table: ChosenTable, sensors: Sequence[_Sensor]) -> dict[str, int]:
     """Return the only one of several sensors that reads g at rest; empty if none does, or more than one."""
+    candidates = [part for own in sensors for part in _parted(own)]
     if len(candidates) < 2:
         return {}
     read = [first_rows(table.recording, table.topic, list(own.values())) for own in candidates]
@@ -385,7 +395,7 @@ def _beside(
     return columns, tuple(left)
 
 
-def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> ChosenColumn | None:
+def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> dict[str, ChosenColumn]:
     """Return a time in whole seconds with its fraction in a column beside it, as ROS writes `secs` and `nsecs`."""
     times = {place: role for place, role in enumerate(roles) if role is not None and role.target == TIME}
     for place, role in times.items():
@@ -393,8 +403,8 @@ def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> Chos
         if role.unit == "s" and beside and beside.unit in ("ms", "us", "ns") and beside.group == role.group:
             factor = TIME_UNITS[beside.unit]
             if parted_seconds(first_rows(table.recording, table.topic, [place, place + 1]) * [1.0, factor]) == 0:
-                return ChosenColumn(place, "s", added=place + 1, factor=factor)
-    return None
+                return {TIME: ChosenColumn(place, "s", added=place + 1, factor=factor)}
+    return {}
 
 
 def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:

@@ -207,14 +207,18 @@ def _known_role(name: str, stated_unit: str) -> ColumnRole | None:
     words = words_of(_BRACKETED.sub(" ", bare))
     unit = unit_named(stated_unit) or "".join(bracketed[:1])
     if not unit:
-        words, unit = _without_ending(words)
-    if not unit:
-        unit = _unit_in_words(words, _BRACKETED.findall(bare))
+        words, unit = _unit_beside(words, _BRACKETED.findall(bare))
     if not words or set(words) & _NEITHER:
         return _time_of_gps(words, unit)
     if index is not None:
         return _channel(words, "xyz"[int(index[1]) : int(index[1]) + 1], unit)
     return _beside(words, unit) or _channel(*_apart(words), unit)
+
+
+def _unit_beside(words: list[str], bracketed: Sequence[str]) -> tuple[list[str], str]:
+    """Return the words without the unit at their end, and it; or the unit among the words in brackets."""
+    plain, unit = _without_ending(words)
+    return plain, unit or _unit_in_words(plain, bracketed)
 
 
 def _unit_in_words(words: Sequence[str], bracketed: Sequence[str]) -> str:

@@ -139,7 +139,7 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
 
 
 def _numbered_lines(tables: Sequence[ChosenTable]) -> Issue:
-    """Return the issue on lines that a number tells apart, with the one that is gravity at rest for the first."""
+    """Return the issue on lines that a number distinguishes, with the one that is gravity at rest for the first."""
     seen = {table.topic.name: _size_at_rest(table) for table in tables}
     listed = [f"'{name}' ({size:.4g} at rest{f': g in {unit}' if unit else ''})" for name, (unit, size) in seen.items()]
     heavy = sorted(seen, key=lambda name: not seen[name][0])  # accelerometers first

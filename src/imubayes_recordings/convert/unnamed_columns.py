@@ -121,7 +121,7 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
     width = values.shape[1]
     clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
     seconds = None if clock is not None else parted_seconds(values)
-    channels = [place for place in range(width) if place != clock and (seconds is None or place > seconds + 1)]
+    channels = [place for place in range(0 if seconds is None else seconds + 2, width) if place != clock]
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
     rest = rest_means(np.asarray(values[:READ]))
     heavy = [
@@ -135,6 +135,11 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
         found = found or _usual_order(values, channels, heavy)
     if found is None:
         raise _refusal(values, clock, heavy, where, names, numbers)
+    return _with_time(found, clock, seconds)
+
+
+def _with_time(found: GuessedColumns, clock: int | None, seconds: int | None) -> GuessedColumns:
+    """Return a guess with its time: a column of it, whole seconds beside their fraction, or none."""
     if seconds is not None:
         return replace(found, columns={TIME: seconds} | found.columns, fraction=seconds + 1)
     return replace(found, columns=({} if clock is None else {TIME: clock}) | found.columns)

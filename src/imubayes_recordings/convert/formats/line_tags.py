@@ -12,7 +12,7 @@ from itertools import pairwise
 from imubayes_recordings.convert.column_names import role_of
 from imubayes_recordings.convert.formats.cell_values import CellKind, is_number, kind_of
 
-_MOST_TAGS = 12
+_MOST_TAGS, _LEAST_CELLS = 12, 3
 FEW = 6  # lines that show what is usual
 _ONE_SENSOR = 7  # cells of a line at most: a number, two times, three readings and their accuracy
 _LEAST_CHANGES = 5  # from one number to another, among the first lines
@@ -76,19 +76,26 @@ def find_tags(
     named : whether these are names for all columns.
     above : cells of all lines above the data.
     """
-    rows = [row for row in sample if len(row) > 2]
-    roles = {role.target for name in names if (role := role_of(name))} if named else set()
-    if len(rows) < len(sample) or not rows or {"ax", "gx"} <= roles:
+    lines, sample = len(sample), [row for row in sample if len(row) >= _LEAST_CELLS]
+    if 2 * len(sample) <= lines or (named and _has_both(names)):
         return None
-    listed = {_last_word(cells[0]): tuple(cells[1:]) for cells in above if cells}
-    first = [plain_tag(row[0]) for row in rows]
-    for_one = bool(names) and _last_word(names[0]) in first
-    column = _tag_column(rows, named and not for_one)
+    for_one = bool(names) and _last_word(names[0]) in {plain_tag(row[0]) for row in sample}
+    column = _tag_column(sample, named and not for_one)
     if column is None:
         return None
-    tags = dict.fromkeys(plain_tag(row[column]) for row in rows)
+    tags = dict.fromkeys(plain_tag(row[column]) for row in sample)
     common = () if for_one or not named else names
-    return LineTags(column, {tag: _line(tag, rows, column, common, listed) for tag in tags})
+    return LineTags(column, {tag: _line(tag, sample, column, common, _listed(above)) for tag in tags})
+
+
+def _listed(above: Sequence[Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    """Return tag → names of the cells behind it, of the lines above the data that begin with one."""
+    return {_last_word(cells[0]): tuple(cells[1:]) for cells in above if cells}
+
+
+def _has_both(names: Sequence[str]) -> bool:
+    """Tell whether names for all columns are those of accelerometers and of gyros: each line holds both."""
+    return {"ax", "gx"} <= {role.target for name in names if (role := role_of(name))}
 
 
 def _line(
@@ -109,16 +116,19 @@ def _tag_column(rows: Sequence[Sequence[str]], named: bool) -> int | None:
     """Return the column whose words, or numbers, say what each line holds; None where there is none."""
     for place in range(min(map(len, rows))):
         words = [plain_tag(row[place]) for row in rows]
-        distinct = set(words)
-        if not all(map(_is_word, words)) or len(distinct) > _MOST_TAGS:
-            continue
-        sensors = [word for word in distinct if _names_a_sensor(word)]
-        if len(distinct) > 1 and (sensors or (place == 0 and not named)):
-            return place
-        if place == 0 and len(distinct) == 1 and sensors and not named and len(rows) >= FEW:
+        if all(map(_is_word, words)) and _are_tags(words, place == 0 and not named):
             return place
     narrow = min(map(len, rows)) <= _ONE_SENSOR
     return 0 if narrow and not named and _are_numbers([row[0] for row in rows], [row[1] for row in rows]) else None
+
+
+def _are_tags(words: Sequence[str], first: bool) -> bool:
+    """Tell whether the words of a column say what the lines hold; `first` is of the first without names for all."""
+    distinct = set(words)
+    sensors = any(map(_names_a_sensor, distinct))
+    if len(distinct) > 1:
+        return len(distinct) <= _MOST_TAGS and (sensors or first)
+    return first and sensors and len(words) >= FEW
 
 
 def _are_numbers(first: Sequence[str], second: Sequence[str]) -> bool:
