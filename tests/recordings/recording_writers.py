@@ -134,6 +134,28 @@ def rawimu(columns: dict[str, np.ndarray], accel: float, gyro: float) -> str:
     return "\r\n".join(lines) + "\r\n"
 
 
+def vectornav(rows: np.ndarray) -> str:
+    """VNIMU sentences: magnetic field, force, rate, temperature and pressure, with the exclusive or of all bytes."""
+    lines = []
+    for row in rows:
+        values = [0.2, -0.1, 0.45, *row[1:7], 24.5, 101.3]
+        body = "VNIMU," + ",".join(f"{value:+.9f}" for value in values)
+        check = 0
+        for byte in body.encode():
+            check ^= byte
+        lines.append(f"${body}*{check:02X}")
+    return "\r\n".join(lines) + "\r\n"
+
+
+def gyroflow(rows: np.ndarray, factors: tuple[float, float, float]) -> str:
+    """A Gyroflow log: keys, names, and times, rates and forces over their factors in s, rad/s and g."""
+    time, rate, force = factors
+    keys = [f"tscale,{time:.9g}", f"gscale,{rate:.9g}", f"ascale,{force:.9g}", "t,gx,gy,gz,ax,ay,az"]
+    values = np.column_stack([rows[:, 0] / time, rows[:, 4:7] / rate, rows[:, 1:4] / 9.80665 / force])
+    lines = [",".join(f"{value:.15g}" for value in row) for row in values]
+    return "\n".join(["GYROFLOW IMU LOG", "version,1.3", "id,own", "orientation,XYZ", *keys, *lines]) + "\n"
+
+
 def mdf4(columns: dict[str, tuple[str, np.ndarray]]) -> bytes:
     """Return a file of one group: name → unit and values; the first is the master, the others are stored halved."""
     out = bytearray(MDF_HEAD)

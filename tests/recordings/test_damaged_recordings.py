@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from test_recording_formats import EXTRA, ROWS, WRITERS
+from test_recording_formats import EXTRA, ROWS, WRITERS, gyroflow, receiver
 
 from imubayes.campaign import inspect_campaign
 from imubayes.cli.main import run
@@ -42,7 +42,21 @@ def understood(file: Path) -> bool:
     return not refused
 
 
-@pytest.mark.parametrize("write", [*WRITERS, packed_text], ids=lambda write: write.__name__)
+WRITTEN = (*WRITERS, packed_text, receiver, gyroflow)
+
+
+def test_each_registered_kind_is_written(tmp_path: Path) -> None:
+    """So that the law below holds over all of them."""
+    kinds = set()
+    for write in WRITTEN:
+        (folder := tmp_path / write.__name__).mkdir()
+        file = write(folder)
+        head = b"" if file.is_dir() else file.read_bytes()[:4096]
+        kinds |= {kind.name for kind in KINDS if kind.fits(head)} | ({"ROS bag"} if write.__name__ == "ros2" else set())
+    assert kinds == {kind.name for kind in KINDS}
+
+
+@pytest.mark.parametrize("write", WRITTEN, ids=lambda write: write.__name__)
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # half-made readers leave files open
 def test_a_file_that_is_cut_off_or_has_other_bytes_is_read_or_refused(
     tmp_path: Path, write: Callable[[Path], Path], capfd: pytest.CaptureFixture[str]

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
@@ -113,8 +114,8 @@ def test_turns_that_were_cut_out_are_no_wrong_unit(tmp_path: Path) -> None:
     assert any("the attitude jumps from one sample to the next" in note for note in run.notes)
 
 
-def test_of_thousands_of_poses_those_are_used_that_fill_the_directions(tmp_path: Path) -> None:
-    """Most of the readings are of one face, as where a unit lay on the desk; the fit is that of all directions."""
+def test_thousands_of_poses_are_merged_by_direction(tmp_path: Path) -> None:
+    """Most of the readings are of one face, as of a unit that lay on the desk; the fit is that of all directions."""
     rng = np.random.default_rng(1)
     down = np.vstack([rng.normal(size=(1500, 3)), [0, 0, 1] + 0.05 * rng.normal(size=(1500, 3))])
     down /= np.linalg.norm(down, axis=1)[:, None]
@@ -123,10 +124,42 @@ def test_of_thousands_of_poses_those_are_used_that_fill_the_directions(tmp_path:
     convert([tmp_path / "means.csv"], tmp_path / "unit", rows="means", accel_unit="g", gravity_m_s2=9.81)
     run = load_campaign(tmp_path / "unit").runs[0]
     assert run.rows == MOST_POSES
-    assert sum("2850 poses left out, evenly over directions" in note for note in run.notes) == 1
+    assert sum("merged by direction into 150" in note for note in run.notes) == 1
+    assert run.samples.sum() == 3000
     used = run.observed / np.linalg.norm(run.observed, axis=1)[:, None]
     # Evenly: each octant has an eighth, but for the readings that there are.
     octants = np.bincount((used > 0) @ [1, 2, 4], minlength=8) / MOST_POSES
     assert octants.min() > 0.08
     assert octants.max() < 0.25
     assert len(spread_over_the_sphere(down[:100], MOST_POSES)) == 100
+
+
+def by_magnitude(force: np.ndarray, samples: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return bias and scale of three axes by |f| = 1 with their standard uncertainties, (6,) each."""
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        across = np.array([[0, 0, 0], [values[6], 0, 0], [values[7], values[8], 0]])
+        level = (force - values[:3]) @ (np.diag(1 / values[3:6]) + across).T
+        return (np.linalg.norm(level, axis=1) - 1) * np.sqrt(samples) / noise
+
+    found = scipy.optimize.least_squares(residual, [0, 0, 0, 1, 1, 1, 0, 0, 0])
+    return found.x[:6], np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))[:6]
+
+
+def test_merged_poses_hold_the_information_of_all(tmp_path: Path) -> None:
+    truth = np.array([0.02, -0.01, 0.015, 1.003, 0.998, 1.001])
+    scores = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        down = rng.normal(size=(3000, 3))
+        down /= np.linalg.norm(down, axis=1)[:, None]
+        force = down * truth[3:] + truth[:3] + rng.normal(0, 0.004, down.shape)
+        np.savetxt(tmp_path / "means.csv", force, delimiter=",", header="ax,ay,az", comments="", fmt="%.5f")
+        folder = tmp_path / f"unit-{seed}"
+        convert([tmp_path / "means.csv"], folder, rows="means", accel_unit="g", gravity_m_s2=9.80665)
+        run = load_campaign(folder).runs[0]
+        found, uncertainty = by_magnitude(run.observed, run.samples, 0.004)
+        _, of_all = by_magnitude(force, np.ones(len(force)), 0.004)
+        np.testing.assert_allclose(uncertainty, of_all, rtol=0.1)
+        scores.append((found - truth) / uncertainty)
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3

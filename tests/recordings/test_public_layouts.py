@@ -107,13 +107,9 @@ LAYOUTS = (
 )  # fmt: skip
 
 
-# Names that do not say what they are.
-STATED = {labelled_cells: {"columns": {f"g{axis}": f"{axis}_R" for axis in "xyz"}, "gyro_unit": "rad/s"}}
-
-
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.__name__)
 def test_a_layout_gives_the_readings(tmp_path: Path, turned: tuple[np.ndarray, np.ndarray], layout: Callable) -> None:
-    read = read_recordings(layout(tmp_path, *turned), latitude_deg=48, **STATED.get(layout, {}))
+    read = read_recordings(layout(tmp_path, *turned), latitude_deg=48)
     columns = next(iter(read.campaign.tables.values()))
     entries = {entry["name"]: entry for entry in read.campaign.document["channel"]}
     for names, values in zip((FORCE, RATE), turned, strict=True):
@@ -199,27 +195,6 @@ def test_a_stated_rate_is_the_only_one_in_hertz() -> None:
     assert stated("# sample rate of the accelerometer unknown, 4 g") is None
     assert stated("# accel sample rate 100 Hz, gyro sample rate 200 Hz") is None
     assert stated("# baud rate 115200, data rate 3") is None
-
-
-def test_lines_told_apart_by_a_number_are_named(tmp_path: Path, turned) -> None:
-    force, rate = turned
-    lines = ["info;time;x;y;z;geo;lon;lat;alt;provider;accuracy"]
-    for place, (forces, rates) in enumerate(zip(force[:600], rate[:600], strict=True)):
-        lines.append(f"4;{place / HZ:.3f};" + ";".join(f"{value:.5f}" for value in rates))
-        lines.append(f"1;{place / HZ:.3f};" + ";".join(f"{value:.5f}" for value in forces) + ";12.0")
-    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match="lines are of several kinds: '1' with 6 fields, '4' with 5") as caught:
-        read_recordings([tmp_path / "log.csv"])
-    assert (
-        "replace '1' and '4' at the start of the lines by the names of their sensors" in caught.value.issues[0].remedy
-    )
-    names = {"1": "acc", "4": "gyro"}
-    (tmp_path / "named.csv").write_text("\n".join([names[line[0]] + line[1:] for line in lines[1:]]) + "\n")
-    numbers = {"time_s": 1} | {f"{kind}{axis}": 2 + k for kind in "ag" for k, axis in enumerate("xyz")}
-    made = read_recordings([tmp_path / "named.csv"], gyro_unit="rad/s", latitude_deg=48, columns=numbers).campaign
-    columns = next(iter(made.tables.values()))
-    np.testing.assert_allclose(columns["ax"][-590:], force[10:600, 0], atol=1e-4)
-    np.testing.assert_allclose(columns["gx"][-590:], rate[10:600, 0], atol=1e-4)
 
 
 def test_one_column_is_not_two_channels(tmp_path: Path, turned) -> None:

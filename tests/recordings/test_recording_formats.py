@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 import recording_writers as written
 from recording_writers import NAMES, as_matrix
-from tumble_files import tumble_log
+from tumble_files import HZ, tumble_log
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.campaign_data import Run
@@ -160,9 +160,25 @@ def unnamed(folder: Path) -> Path:
     return folder / "log"
 
 
+def vectornav(folder: Path) -> Path:
+    (folder / "log.txt").write_text(written.vectornav(ROWS))
+    return folder / "log.txt"
+
+
+def gyroflow(folder: Path) -> Path:
+    (folder / "log.gcsv").write_text(written.gyroflow(ROWS, (0.001, 1e-6, 1e-6)))
+    return folder / "log.gcsv"
+
+
+def receiver(folder: Path) -> Path:
+    (folder / "log.txt").write_text(written.rawimu(COLUMNS, 1000.0, 50000.0))
+    return folder / "log.txt"
+
+
 WRITERS: dict[Callable[[Path], Path], dict[str, Any]] = {
     parquet: {}, plain_array: {}, named_arrays: {}, matlab: {}, matlab73: {}, flight_log: {}, dataflash: {}, ros2: {},
     tdms: {}, mdf: {}, euroc: {}, psins: {}, betaflight_csv: {}, spreadsheet: {}, tagged: {}, unnamed: {},
+    vectornav: {"sample_rate_hz": HZ},
 }  # fmt: skip
 EXTRA = {flight_log: "pyulog", dataflash: "pymavlink", ros2: "rosbags", tdms: "nptdms", mdf: "asammdf"}
 
@@ -191,6 +207,7 @@ def test_each_format_gives_the_same_rows(tmp_path: Path, expected: Run, write: C
         ros2,
         mdf,
         betaflight_csv,
+        vectornav,
     )
 
 

@@ -11,11 +11,11 @@ from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
 from imubayes_recordings.convert import convert, read_recordings
-from imubayes_recordings.convert.column_choice import choose_tables
 from imubayes_recordings.convert.column_names import role_of
 from imubayes_recordings.convert.formats import open_recording
 from imubayes_recordings.convert.options import read_options
 from imubayes_recordings.convert.recorded_runs import recorded_runs
+from imubayes_recordings.convert.table_choice import choose_tables
 
 SIGNS = ("", "# ", "#", "% ", "%%", "// ", "; ", "\ufeff", "\ufeff# ")
 DELIMITERS = (",", ";", "\t", " ", ", ")

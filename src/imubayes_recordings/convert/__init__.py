@@ -16,11 +16,12 @@ from imubayes.campaign.campaign_writer import write_campaign
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import refuse_occupied
 from imubayes_recordings.convert.campaign_document import ConvertedCampaign, make_campaign
-from imubayes_recordings.convert.column_choice import ChosenTable, choose_tables
+from imubayes_recordings.convert.column_choice import ChosenTable
 from imubayes_recordings.convert.formats import open_recording
 from imubayes_recordings.convert.mapping_file import MAPPING_FILE, mapping_text, read_mapping
 from imubayes_recordings.convert.options import ConvertOptions, read_options
 from imubayes_recordings.convert.recorded_runs import recorded_runs
+from imubayes_recordings.convert.table_choice import choose_tables
 
 __all__ = ["ConvertOptions", "convert", "read_recordings"]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction import turning_span
 from imubayes.foundations.earth import normal_gravity
@@ -34,6 +35,7 @@ from imubayes_recordings.convert.unit_evidence import Units, find_units
 DEFAULT_LATITUDE = 45.0
 # Without a site: the rounded value assumed by bench calibration tools and their published results.
 DEFAULT_GRAVITY = 9.81  # m/s²
+_LEAST_PARTS = 5.0  # ppm of the scale factors that are told
 _WARMED = 10.0  # degC over which a rest is a temperature test
 _STATIC, _RAMP = "static_record", "thermal_ramp"
 _AT_REST = (_STATIC, _RAMP)
@@ -77,6 +79,7 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
     channels = _channels(longest.columns, stated, gravity, notes, source)
+    notes += _of_local_g(channels, gravity)
     turns = _turns(runs, channels, options, source)
     procedure, why = _procedure(longest, _rates(longest, channels), options, source)
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
@@ -240,6 +243,17 @@ def _turns_about_the_vertical(run: RecordedRun, turning: float, where: str) -> I
         f"{what}; {followed}", where, allowed,
         f"if it is the rate in deg/s: --column {TABLE_RATE}='{first.column}'",
     )  # fmt: skip
+
+
+def _of_local_g(channels: Sequence[Mapping[str, Any]], gravity: float) -> list[str]:
+    """Return a note if accelerometers are in g and the gravity of the site, m/s², is not the standard one."""
+    parts = 1e6 * (gravity / scipy.constants.g - 1)
+    if abs(parts) < _LEAST_PARTS or all(each["kind"] == "gyro" or each["per"] != "g" for each in channels):
+        return []
+    return [
+        f"1 g is the gravity of the site, {gravity:.6g} m/s^2; the scale factors of a device that reads in "
+        f"{scipy.constants.g:g} m/s^2 are larger by {parts:.3g} ppm than in its own unit"
+    ]
 
 
 def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:

@@ -150,6 +150,8 @@ def _clock(
     rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
     channels = [values[name] for name in SIX if name in values]
     lost = _dropped(values.get(COUNTER), filled)
+    values, empty = _without_empty(table, values)
+    lost += empty
     if rate is not None:
         return Clock(np.arange(rows)[filled] / rate, filled, "", "", lost)
     if TIME in values:
@@ -179,6 +181,16 @@ def _clock(
         notes.append(f"{counted(int((repeated & ~late).sum()), 'repeated sample')} left out")
     time, found = _mended(time, options)
     return Clock(time, keep, unit, guess, (*notes, *found, *lost))
+
+
+def _without_empty(
+    table: ChosenTable, values: Mapping[str, np.ndarray]
+) -> tuple[Mapping[str, np.ndarray], tuple[str, ...]]:
+    """Return the columns without a time that no row has, and a note on it."""
+    if TIME not in values or np.isfinite(values[TIME]).any():
+        return values, ()
+    note = f"the column of the time, {table.columns[TIME].position + 1}, is empty: not used"
+    return {name: column for name, column in values.items() if name != TIME}, (note,)
 
 
 def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tuple[str, str]:

@@ -1,8 +1,7 @@
-"""Which topics and columns of the recordings are the channels: as stated, by name, or by what unnamed numbers say."""
+"""Which columns of a topic are the channels: as stated, by name, or by what unnamed numbers say."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NoReturn
 
 import numpy as np
 
@@ -30,24 +29,30 @@ from imubayes_recordings.convert.column_names import (
     words_of,
 )
 from imubayes_recordings.convert.options import ConvertOptions
-from imubayes_recordings.convert.recording import SourceRecording, Topic, described, read_columns
-from imubayes_recordings.convert.unnamed_columns import infer_layout
+from imubayes_recordings.convert.recording import SourceRecording, Topic, first_rows, read_columns
+from imubayes_recordings.convert.unnamed_columns import (
+    GuessedColumns,
+    infer_layout,
+    parted_seconds,
+    rest_means,
+    unit_of_gravity,
+)
 
 TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
-_HOLDS = {"ag": "accelerometers and gyros", "a": "accelerometers", "g": "gyros"}
 
 
 @dataclass(frozen=True)
 class ChosenColumn:
     """A column that is read: its position from 0, its sign, and the unit that name or recording state.
 
-    `added` is the position of a column that is added to it.
+    `added` is the position of a column that is added to it, times `factor`.
     """
 
     position: int
     unit: str = ""
     sign: float = 1.0
     added: int | None = None
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -80,111 +85,7 @@ class ChosenTable:
         return "".join(kind for kind, names in TRIPLES.items() if any(name in self.columns for name in names))
 
 
-def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions) -> tuple[ChosenTable, ...]:
-    """Return the tables that hold the channels: one with all, one for accelerometers and one for gyros, or one a file.
-
-    Raises
-    ------
-    InputError
-        where no column is a channel, more than one choice is possible, or a stated column is missing; with what the
-        recordings hold.
-    """
-    found = _topics(recordings, options)
-    alone = len(found) == 1
-    tables = [_table(recording, topic, options, alone) for recording, topic in found]
-    stated = [table for table in tables if set(options.columns) & set(table.columns)]
-    if options.columns and not stated:
-        raise InputError(tables[0].faults or _nothing(tables))
-    usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
-    chosen = _one_way(usable, len(options.topic) > 1)
-    _refuse_lost_kind(tables, chosen, options)
-    read = {id(table.recording) for table in chosen}
-    if idle := [table for table in tables if id(table.recording) not in read]:
-        _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
-    return chosen
-
-
-def _refuse_lost_kind(tables: Sequence[ChosenTable], chosen: Sequence[ChosenTable], options: ConvertOptions) -> None:
-    """Raise InputError where a topic names the channels that no chosen table has, and cannot serve."""
-    kinds = "".join(table.kinds for table in chosen)
-    for table in () if options.topic or options.columns else tables:
-        roles = [role_of(column.name, column.unit) for column in table.topic.columns if column.name]
-        named = {kind for kind, names in TRIPLES.items() for role in roles if role and role.target in names}
-        if table.faults and named - set(kinds):
-            raise InputError(table.faults)
-
-
-def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> list[tuple[SourceRecording, Topic]]:
-    """Return the topics of all recordings, or those that are stated."""
-    found = [(recording, topic) for recording in recordings for topic in recording.topics()]
-    if not options.topic:
-        return found
-    names = [topic.name for _, topic in found]
-    if lost := sorted(set(options.topic) - set(names)):
-        what = f"there is no topic '{lost[0]}'"
-        raise input_error(what, "option topic", closest_first(lost[0], names), "name a topic that is there")
-    return [(recording, topic) for recording, topic in found if topic.name in options.topic]
-
-
-def _refuse(tables: Sequence[ChosenTable], alone: bool) -> NoReturn:
-    faults = [fault for table in tables for fault in table.faults]
-    raise InputError(faults[:3] if faults and alone else _nothing(tables, faults))
-
-
-def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable, ...]:
-    """Return the tables of the only choice among those that have channels.
-
-    Parameters
-    ----------
-    session : whether several topics are stated: those that have the same kinds each are the runs of a session.
-    """
-    by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
-    whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
-    candidates = whole or [*apart[0], *apart[1]]
-    alike = len({table.kinds for table in usable}) == 1
-    if not (session and alike) and _is_open(*by_kind.values()):
-        listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
-        first, *others = listed
-        several = (
-            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if alike and others else ""
-        )
-        issue = Issue(
-            f"{len(candidates)} topics hold channels",
-            ", ".join(dict.fromkeys(str(table.recording.file) for table in candidates)),
-            ", ".join(f"{name} ({kinds})" for name, kinds in listed.items()),
-            f"choose one, such as --topic {first}{several}",
-        )
-        raise InputError(issue)
-    return tuple(candidates)
-
-
-def _is_open(*by_kind: Sequence[ChosenTable]) -> bool:
-    """Tell whether tables with both kinds, with accelerometers and with gyros are more than one record each or runs.
-
-    One topic of accelerometers and one of gyros in each of several files are the parts of a record, or its runs.
-    """
-    whole, *apart = [[id(table.recording) for table in part] for part in by_kind]
-    if any(len(own) > len(set(own)) for own in (whole, *apart)):
-        return True
-    return not whole and min(map(len, apart)) > 1 and set(apart[0]) != set(apart[1])
-
-
-def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Issue:
-    """Return the issue that lists what the recordings hold."""
-    listed = []
-    for table in tables[:12]:
-        names = [name or str(place) for place, name in enumerate(table.topic.names, 1)]
-        listed.append(f"{described(table.topic)}: {', '.join(names[:16])}{', …' if len(names) > 16 else ''}")
-    why = f"; {faults[0].what}" if faults else ""
-    return Issue(
-        f"no column has a name of an accelerometer or gyro{why}",
-        ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
-        f"time_s, ax, ay, az, gx, gy, gz and similar names; found in {'; '.join(listed)}",
-        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax, ay, az, gx, gy, gz)",
-    )
-
-
-def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, alone: bool) -> ChosenTable:
+def chosen_columns(recording: SourceRecording, topic: Topic, options: ConvertOptions, alone: bool) -> ChosenTable:
     """Return what a topic has, with what speaks against it."""
     table, faults = ChosenTable(recording, topic, {}), []
     stated: dict[str, ChosenColumn] = {}
@@ -203,10 +104,11 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         rates = body_rates(topic.names)
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
-        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated), options)
+        named, left = _by_name(table, roles, stated)
+        columns = _parted_time(table, roles) | _with_gravity(topic, stated | named, options)
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
-    return _checked(replace(table, columns=columns), roles, options)
+    return _checked(replace(table, columns=columns, left=left), roles, options)
 
 
 def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn], options: ConvertOptions) -> dict[str, ChosenColumn]:
@@ -228,7 +130,8 @@ def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn], options: Conve
 def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
     """Return a table with what stands beside its channels, and what speaks against its columns."""
     topic = table.topic
-    columns, left = _beside(topic, roles, table.columns)
+    columns, beside = _beside(topic, roles, table.columns)
+    left = (*table.left, *beside)
     unknown = {target: role.unknown for target, column in columns.items() if (role := roles[column.position])}
     if unknown.get(TEMPERATURE):
         left += (f"the unit '{unknown[TEMPERATURE]}' of the temperature is not known: it is not read",)
@@ -295,7 +198,9 @@ def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording)
 
 
 def hinted_kind(topic: Topic, recording: SourceRecording) -> str:
-    """Return ``a`` or ``g`` where the name of the topic, or of the file, says what it holds."""
+    """Return ``a`` or ``g`` where it is stated, or the name of the topic, or of the file, says what it holds."""
+    if topic.kind:
+        return topic.kind
     for name in (topic.name, recording.file.name.partition(".")[0]):
         if kind := quantity_of(set(words_of(name)) - {"a", "g", "f", "w"}, ""):
             return kind
@@ -322,13 +227,20 @@ def _without_names(
         layout = infer_layout(values, hinted_kind(topic, recording), topic.where, names, numbers)
     except InputError as error:
         return replace(table, faults=error.issues)
-    units = {"a": "m/s", "g": "rad"} if layout.increments else {}
-    columns = {
-        target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()
-    } | dict(stated)
+    columns = _guessed_columns(layout, read) | dict(stated)
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
-    return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+    evidence = layout.evidence if not topic.kind else ""  # stated
+    return replace(table, columns=columns, evidence=evidence, left=_labels(topic))
+
+
+def _guessed_columns(layout: GuessedColumns, read: Sequence[int]) -> dict[str, ChosenColumn]:
+    """Return the columns of a guess over some columns of a topic."""
+    units = {"a": "m/s", "g": "rad"} if layout.increments else {}
+    columns = {target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()}
+    if layout.fraction is not None:
+        columns[TIME] = replace(columns[TIME], unit="s", added=read[layout.fraction])
+    return columns
 
 
 def _by_number(table: ChosenTable, stated: Mapping[str, ChosenColumn], alone: bool) -> ChosenTable:
@@ -357,10 +269,12 @@ def _numeric(topic: Topic, names: str, state: str) -> list[int]:
 
 
 def _by_name(
-    topic: Topic, roles: Sequence[ColumnRole | None], stated: Mapping[str, ChosenColumn]
-) -> dict[str, ChosenColumn]:
-    """Return the channels that names say, and their scatter: of each kind all three axes, of one sensor."""
+    table: ChosenTable, roles: Sequence[ColumnRole | None], stated: Mapping[str, ChosenColumn]
+) -> tuple[dict[str, ChosenColumn], tuple[str, ...]]:
+    """Return the channels that names say, and their scatter: of each kind all three axes, of one sensor; and notes."""
     chosen: dict[str, ChosenColumn] = {}
+    left: list[str] = []
+    issues: list[Issue] = []
     for names in TRIPLES.values():
         wanted = [name for name in names if name not in stated]
         sensors: dict[tuple[str, ...], _Sensor] = {}
@@ -369,10 +283,18 @@ def _by_name(
                 sensors.setdefault(role.group, {}).setdefault(role.target, []).append(place)
         others = {group: own for group, own in sensors.items() if not set(group) & WITHOUT_GRAVITY}
         sensors = others or sensors  # accelerations that the device makes of the readings are none
-        if sensors:
-            own = _one_sensor(topic, list(sensors.values()), wanted)
-            chosen |= {name: _column(own[name], roles) for name in wanted}
-    return chosen | _scatter(roles, chosen)
+        if not sensors:
+            continue
+        try:
+            own, why = _one_sensor(table, list(sensors.values()), wanted)
+        except InputError as error:
+            issues += error.issues
+            continue
+        chosen |= {name: _column(own[name], roles) for name in wanted}
+        left += [why] if why else []
+    if issues:
+        raise InputError(issues)
+    return chosen | _scatter(roles, chosen), tuple(left)
 
 
 _Sensor = dict[str, list[int]]
@@ -396,10 +318,13 @@ def _column(place: int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:
     return ChosenColumn(place, role.unit if role else "")
 
 
-def _one_sensor(topic: Topic, sensors: Sequence[_Sensor], wanted: Sequence[str]) -> dict[str, int]:
-    """Return the columns of the only sensor that has all axes."""
-    names = topic.names
+def _one_sensor(table: ChosenTable, sensors: Sequence[_Sensor], wanted: Sequence[str]) -> tuple[dict[str, int], str]:
+    """Return the columns of the only sensor that has all axes, and why it was chosen of several."""
+    topic, names = table.topic, table.topic.names
     whole = [own for own in sensors if len(own) == len(wanted)]
+    if tuple(wanted) == ACCELEROMETERS and (heavy := _heavy(table, whole)):
+        listed = ", ".join(names[place] for place in heavy.values())
+        return heavy, f"{listed} read g at rest: no other columns of accelerometers do"
     candidates = [own for own in whole if any(names[places[0]] in SIX for places in own.values())] or whole
     if not candidates:
         raise _incomplete(topic, max(sensors, key=len), wanted)
@@ -408,7 +333,23 @@ def _one_sensor(topic: Topic, sensors: Sequence[_Sensor], wanted: Sequence[str])
     for target, places in candidates[0].items():
         if len(places) > 1:
             raise _twice(topic, target, places)
-    return {name: places[0] for name, places in candidates[0].items()}
+    return {name: places[0] for name, places in candidates[0].items()}, ""
+
+
+def _parted(sensor: _Sensor) -> list[dict[str, int]]:
+    """Return the sensors of one group of names that has each axis several times."""
+    count = min(map(len, sensor.values()))
+    return [{name: places[k] for name, places in sensor.items()} for k in range(count)]
+
+
+def _heavy(table: ChosenTable, sensors: Sequence[_Sensor]) -> dict[str, int]:
+    """Return the only one of several sensors that reads g at rest; empty if none does, or more than one."""
+    candidates = [part for own in sensors for part in _parted(own)]
+    if len(candidates) < 2:
+        return {}
+    read = [first_rows(table.recording, table.topic, list(own.values())) for own in candidates]
+    found = [own for own, rows in zip(candidates, read, strict=True) if unit_of_gravity(rows, rest_means(rows))[0]]
+    return dict(found[0]) if len(found) == 1 else {}
 
 
 def _incomplete(topic: Topic, found: _Sensor, wanted: Sequence[str]) -> InputError:
@@ -454,6 +395,18 @@ def _beside(
     return columns, tuple(left)
 
 
+def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> dict[str, ChosenColumn]:
+    """Return a time in whole seconds with its fraction in a column beside it, as ROS writes `secs` and `nsecs`."""
+    times = {place: role for place, role in enumerate(roles) if role is not None and role.target == TIME}
+    for place, role in times.items():
+        beside = times.get(place + 1)
+        if role.unit == "s" and beside and beside.unit in ("ms", "us", "ns") and beside.group == role.group:
+            factor = TIME_UNITS[beside.unit]
+            if parted_seconds(first_rows(table.recording, table.topic, [place, place + 1]) * [1.0, factor]) == 0:
+                return {TIME: ChosenColumn(place, "s", added=place + 1, factor=factor)}
+    return {}
+
+
 def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:
     """Return target → columns of what is no channel; a date and a time of day only where there is no other time."""
     found: dict[str, list[int]] = {}
@@ -479,7 +432,7 @@ def values_of(table: ChosenTable) -> dict[str, np.ndarray]:
     read = dict(zip(places, read_columns(table.recording, table.topic, places).T, strict=True))
 
     def values(one: ChosenColumn) -> np.ndarray:
-        plain = read[one.position] if one.added is None else read[one.position] + read[one.added]
+        plain = read[one.position] if one.added is None else read[one.position] + one.factor * read[one.added]
         return plain if one.sign > 0 else -plain
 
     return {name: values(one) for name, one in table.columns.items()}

@@ -73,7 +73,7 @@ _SPELLED = {
     "min": "min",
     "h": "h hr hour hours",
     "d": "day days",
-    "degC": "c degc °c ºc celsius deg.c",
+    "degC": "c degc °c ºc celsius deg.c degreecelsius degreescelsius",
     "K": "k kelvin",
     "degF": "degf °f fahrenheit deg.f",
 }
@@ -98,7 +98,7 @@ _ACCEL = _words(
     " beschleunigung beschl"
 )
 _GYRO = _words(
-    "g gyr gyro gyros gyroscope gyroscopes w omega ω angvel angrate turnrate rotationrate rate rates drehrate"
+    "g gyr gyro gyros ars gyroscope gyroscopes w omega ω angvel angrate turnrate rotationrate rate rates drehrate"
 )
 _NEITHER = _words(
     "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
@@ -114,6 +114,7 @@ _TIMES = _words(
     "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
     " zeit zeitstempel tow sow itow datenum"
 )
+_OF_ORIGIN = _words("since from in start boot reboot unix")
 _TEMPERATURES = {"temp", "temperature", "tmp", "temperatures", "temperatur"}  # `temps` is a time in French
 _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
 _AXES = ("x", "y", "z")
@@ -158,12 +159,12 @@ def unit_named(word: str) -> str:
         plain = plain.replace(sign, "")
     if plain in ("K", "C", "F"):
         return {"K": "K", "C": "degC", "F": "degF"}[plain]
-    return _UNITS.get(plain.lower(), "")
+    return _UNITS.get(plain.lower(), "") or _UNITS.get(plain.lower().replace(".", ""), "")
 
 
 def is_unit(cell: str) -> bool:
     """Tell whether a cell of a text table is a unit and not a name: `g` is both."""
-    return bool(unit_named(cell)) or cell.strip() in ("-", "1", "[]", "[-]")
+    return bool(unit_named(cell)) or cell.strip().strip("[](){}").lower() in ("-", "1", "", "na", "n/a", "unitless")
 
 
 def unit_in_brackets(name: str) -> str:
@@ -206,12 +207,28 @@ def _known_role(name: str, stated_unit: str) -> ColumnRole | None:
     words = words_of(_BRACKETED.sub(" ", bare))
     unit = unit_named(stated_unit) or "".join(bracketed[:1])
     if not unit:
-        words, unit = _without_ending(words)
+        words, unit = _unit_beside(words, _BRACKETED.findall(bare))
     if not words or set(words) & _NEITHER:
         return _time_of_gps(words, unit)
     if index is not None:
         return _channel(words, "xyz"[int(index[1]) : int(index[1]) + 1], unit)
     return _beside(words, unit) or _channel(*_apart(words), unit)
+
+
+def _unit_beside(words: list[str], bracketed: Sequence[str]) -> tuple[list[str], str]:
+    """Return the words without the unit at their end, and it; or the unit among the words in brackets."""
+    plain, unit = _without_ending(words)
+    return plain, unit or _unit_in_words(plain, bracketed)
+
+
+def _unit_in_words(words: Sequence[str], bracketed: Sequence[str]) -> str:
+    """Return the unit of a time among other words in brackets, `epoch_ms`, or that of a temperature, T(°)."""
+    if list(words) == ["t"] and any(text.strip() in ("°", "º") for text in bracketed):
+        return "degC"
+    inside = [word for text in bracketed for word in words_of(text)]
+    units = {unit for word in inside if (unit := _UNITS.get(word, "")) in TIME_UNITS}
+    others = {word for word in inside if _UNITS.get(word) not in TIME_UNITS}
+    return units.pop() if len(units) == 1 and others <= _TIMES | _OF_ORIGIN else ""
 
 
 def _time_of_gps(words: list[str], unit: str) -> ColumnRole | None:
@@ -273,6 +290,20 @@ def _parts_of_force(names: Sequence[str]) -> dict[str, dict[str, tuple[int, str]
     return found
 
 
+def names_gravity(words: Sequence[str]) -> bool:
+    """Tell whether words name gravity, apart from the reading of the accelerometers."""
+    return bool(set(words) & _GRAVITY)
+
+
+def axis_and_words(name: str) -> tuple[str, tuple[str, ...]]:
+    """Return the axis of a name and its other words; no axis if it has none or several, or is of another quantity."""
+    words = words_of(_BRACKETED.sub(" ", name))
+    axes = [word for word in words if word in _AXES]
+    if len(axes) != 1 or set(words) & _NEITHER:
+        return "", ()
+    return axes[0], tuple(word for word in words if word not in _AXES)
+
+
 def quantity_of(words: set[str], unit: str) -> str:
     """Return ``a`` or ``g`` for words that name an accelerometer or a gyro, or by the unit; else empty."""
     angular = bool(words & {"angular", "rotation", "gyro", "gyr"})
@@ -319,7 +350,7 @@ def _last_unit(words: list[str]) -> str:
 def _beside(words: list[str], unit: str) -> ColumnRole | None:
     """Return the role of a time, a temperature or a counter."""
     known = set(words)
-    group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
+    group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES | _OF_ORIGIN)
     if known & _TEMPERATURES or _is_warmth(words, unit):
         return ColumnRole(TEMPERATURE, unit, group)
     written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")

@@ -30,7 +30,8 @@ def mapping_text(tables: Sequence[ChosenTable], options: ConvertOptions, guesses
         tomlkit.comment("A key behind a comment sign is a guess, with its evidence; without the sign it holds.")
     )
     document.add("format", tomlkit.item(1))
-    topics = [table.topic.name for table in tables if table.topic.name]
+    kinds = {"a": "acc=", "g": "gyro=", "": ""}
+    topics = [kinds[table.topic.kind] + table.topic.name for table in tables if table.topic.name]
     if topics:
         document.add("topic", tomlkit.item(list(dict.fromkeys(topics))))
     for option in fields(ConvertOptions):

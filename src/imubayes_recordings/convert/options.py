@@ -26,7 +26,8 @@ class ConvertOptions:
     serial: str = ""
     """Serial number of the unit."""
     topic: Sequence[str] = ()
-    """Topics of a recording with several; by default those that hold accelerometers and gyros."""
+    """Topics of a recording with several, or acc=TOPIC and gyro=TOPIC if their names do not state the sensor; by
+    default those that hold accelerometers and gyros."""
     accel_unit: str = ""
     """Unit of the accelerometers: m/s^2, g, mg, ug, cm/s^2, count, or m/s (increments a sample)."""
     gyro_unit: str = ""

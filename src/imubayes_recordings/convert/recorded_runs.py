@@ -25,6 +25,7 @@ from imubayes_recordings.convert.column_names import (
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.raw_counts import signed_counts
 from imubayes_recordings.convert.recording import described, read_columns
+from imubayes_recordings.convert.unnamed_rates import find_rates
 
 Columns = dict[str, np.ndarray]
 _SHOWN = 3  # first values of each column
@@ -172,6 +173,12 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
     kept, beside = _beside(others, filled if clock is None else clock.keep, units)
     left = (*table.left, *table.recording.notes(), *signed, *mixed, *void, *beside)
     followers = partial(_followers, table, values)
+    if clock is not None and table.kinds == "a":
+        rates = find_rates(table, {TIME: clock.time, **kept}, clock.keep)
+        kept |= rates.columns
+        units |= dict.fromkeys(rates.columns, rates.unit)
+        guesses |= {"columns": rates.evidence} if rates.evidence else {}
+        left += rates.notes
     if clock is None:
         return RecordedRun(kept, units, (note, *left), guesses, followers=followers)
     return RecordedRun(

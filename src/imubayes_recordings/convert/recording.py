@@ -52,6 +52,8 @@ class Topic:
     note : how the columns were found, in words; empty where the format says it.
     rate_hz : sampling rate that the recording states; None where it states none.
     misfit : whether there are names that differ in number from the data fields; the columns have none then.
+    numbered : whether the name is a number in each line, which says nothing by itself.
+    kind : `a` or `g` where it is stated that the topic holds accelerometers or gyros.
     """
 
     name: str
@@ -60,6 +62,8 @@ class Topic:
     note: str = ""
     rate_hz: float | None = None
     misfit: bool = False
+    numbered: bool = False
+    kind: str = ""
 
     @property
     def named(self) -> bool:
@@ -140,6 +144,11 @@ def read_columns(recording: SourceRecording, topic: Topic, positions: Sequence[i
         if rows == 0:
             raise input_error(f"{described(topic)} has no rows", topic.where, "one row or more", "record it again")
         return np.memmap(spool, dtype=np.float64, mode="r", shape=(rows, len(positions)))
+
+
+def first_rows(recording: SourceRecording, topic: Topic, positions: Sequence[int]) -> np.ndarray:
+    """Return the first rows of columns of a topic, shape (n, columns); n is 0 for a topic without rows."""
+    return next(iter(recording.blocks(topic, positions)), np.zeros((0, len(positions))))
 
 
 MOST_EXPANSION, LEAST_LIMIT = 200, 1 << 28

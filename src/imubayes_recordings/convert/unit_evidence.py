@@ -109,16 +109,16 @@ def _of_stated_gyros(
     wanted = given or (own.pop() if len(own) == 1 else "")
     size = 0.0
     if wanted in _PER_RADIAN and all(name in columns for name in (*SIX, TIME)):
-        size, _ = _per_radian({name: columns[name] for name in (*SIX, TIME)}, where)
+        size, _ = per_radian({name: columns[name] for name in (*SIX, TIME)}, where)
         if size and not 1 / _FAR < size / _PER_RADIAN[wanted] < _FAR:
             raise _other_turns(wanted, size, columns[TIME], where)
     return given if given and size else _stated("gyro_unit", given, GYROS, columns, stated, where)
 
 
 def _other_turns(unit: str, size: float, time: np.ndarray, where: str) -> InputError:
-    near = [other for other, per in _PER_RADIAN.items() if abs(size / per - 1) < _NEAR]
+    near = unit_of_turns(size)
     scale = f"state the scale: --gyro-unit count --gyro-scale {size:.4g} --gyro-offset 0"
-    remedy = f"state the unit: --gyro-unit {near[0]}" if near else scale + _other_rate(time, size)
+    remedy = f"state the unit: --gyro-unit {near}" if near else scale + _other_rate(time, size)
     what = f"the gyros are in {unit}, and turns between poses integrate to {size:.4g} {unit}·s per radian"
     return input_error(what, where, f"about {_PER_RADIAN[unit]:.4g}", remedy)
 
@@ -188,12 +188,11 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, options: ConvertOpt
     """Return the unit of the gyros by a stated motion or the turns between poses; else that of the other SI unit."""
     rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
     stated, how = per_radian_of_stated_motion(columns, options, where)
-    per_radian, turned = (stated, f" ({how})") if stated else _of_poses(columns, where)
+    size_of_turn, turned = (stated, f" ({how})") if stated else _of_poses(columns, where)
     if _whole(rate):  # counts may have nearly the scale of a unit
         return "count", f"whole numbers{turned}"
-    near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
-    if near:
-        return near[0], how or f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
+    if near := unit_of_turns(size_of_turn):
+        return near, how or f"turns between poses integrate to {size_of_turn:.4g} {near.split('/')[0]} per radian"
     size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
     if accel == "m/s^2" and not turned:
         if size < _LARGEST_BIAS["rad/s"]:
@@ -209,15 +208,20 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, options: ConvertOpt
     told = "no usual one fits" if stated else _not_told(accel)
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
-        "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), per_radian),
+        "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), size_of_turn),
     )  # fmt: skip
+
+
+def unit_of_turns(size: float) -> str:
+    """Return the unit of gyros that read `size` for one radian; empty if it is near none."""
+    return next((unit for unit, per in _PER_RADIAN.items() if abs(size / per - 1) < _NEAR), "")
 
 
 def _of_poses(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
     """Return what the gyros read for one radian by the turns between poses; 0 and nothing where they are not known."""
     names = (*SIX, TIME)
     known = all(name in columns for name in names)
-    return _per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
+    return per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
 
 
 def _not_told(accel: str) -> str:
@@ -245,8 +249,14 @@ def _of_motion(part: Mapping[str, np.ndarray]) -> tuple[float, str]:
     return size, f" (gravity turns by {size:.4g} per radian)" if size else ""
 
 
-def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
-    """Return how much the gyros read for one radian, from the turns between poses; 0 where there are too few."""
+def per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
+    """Return how much the gyros read for one radian, from the turns between poses; 0 where there are too few.
+
+    Parameters
+    ----------
+    columns : the six channels and `time_s`, shape (N,) each.
+    where : for errors.
+    """
     part = {name: np.asarray(values[:_MOST_SAMPLES]) for name, values in columns.items()}
     used = np.isfinite(np.stack(list(part.values()))).all(axis=0)
     part = {name: values[used] for name, values in part.items()}

@@ -6,7 +6,7 @@ column looks like.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,16 +19,27 @@ _NEAR_GRAVITY = 0.12  # largest bias and scale factor error together, relative t
 _WINDOW = 50  # samples, of which the mean is at rest where their scatter is small
 _QUIET = 0.3  # share of the windows that rest, at least
 _STILL = 10.0  # deg/s is more than the bias of a gyro; in rad/s it is any rate by hand
+_ONE_DIRECTION = 0.9  # of the mean of unit vectors; 1 if all are the same
+_LEADING = 3  # columns among which whole seconds are sought
+_TORN = 1e-3  # share of the rows that may be late
 READ = 400_000  # samples that are looked at
 
 
 @dataclass(frozen=True)
 class GuessedColumns:
-    """Target → position of the column, from 0, and why they were taken so; increments are integrals over a sample."""
+    """Columns without names, and why they were taken so.
+
+    Attributes
+    ----------
+    columns : target → position of the column, from 0.
+    increments : whether the readings are integrals over a sample.
+    fraction : position of the fractions of a second that are added to the whole seconds; None if there are none.
+    """
 
     columns: dict[str, int]
     evidence: str
     increments: bool = False
+    fraction: int | None = None
 
 
 def rest_means(values: np.ndarray) -> np.ndarray:
@@ -76,6 +87,21 @@ def is_clock(values: np.ndarray) -> bool:
     return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
 
 
+def parted_seconds(values: np.ndarray) -> int | None:
+    """Return the column of whole seconds whose next one is their fraction, among the first; None if there is none.
+
+    Logs of navigation receivers write week, second of the week, and fraction of the second.
+    """
+    values = values[: min(READ, len(values))]
+    for place in range(min(_LEADING, values.shape[1] - 1)):
+        whole, fraction = np.asarray(values[:, place]), np.asarray(values[:, place + 1])
+        step, time = np.diff(whole), np.diff(whole + fraction)
+        parted = (whole % 1 == 0).all() and (fraction >= 0).all() and (fraction < 1).all() and np.ptp(fraction) > 0
+        if parted and (step >= 0).all() and (step > 0).any() and np.mean(time > 0) > 1 - _TORN:
+            return place
+    return None
+
+
 def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers: Sequence[int]) -> GuessedColumns:
     """Return which columns of a table without names are which.
 
@@ -94,7 +120,8 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
     """
     width = values.shape[1]
     clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
-    channels = [place for place in range(width) if place != clock]
+    seconds = None if clock is not None else parted_seconds(values)
+    channels = [place for place in range(0 if seconds is None else seconds + 2, width) if place != clock]
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
     rest = rest_means(np.asarray(values[:READ]))
     heavy = [
@@ -108,8 +135,14 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
         found = found or _usual_order(values, channels, heavy)
     if found is None:
         raise _refusal(values, clock, heavy, where, names, numbers)
-    time = {} if clock is None else {TIME: clock}
-    return GuessedColumns(time | found.columns, found.evidence, found.increments)
+    return _with_time(found, clock, seconds)
+
+
+def _with_time(found: GuessedColumns, clock: int | None, seconds: int | None) -> GuessedColumns:
+    """Return a guess with its time: a column of it, whole seconds beside their fraction, or none."""
+    if seconds is not None:
+        return replace(found, columns={TIME: seconds} | found.columns, fraction=seconds + 1)
+    return replace(found, columns=({} if clock is None else {TIME: clock}) | found.columns)
 
 
 @dataclass(frozen=True)
@@ -141,6 +174,8 @@ def _of_three(heavy: _Triple, kind: str) -> GuessedColumns | None:
 def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) -> GuessedColumns | None:
     """Return the only three columns that read g, and the gyros behind or before them."""
     fits = [place for place, each in enumerate(heavy) if each.unit]
+    if len(fits) > 1:  # a bias of 1 deg/s has the size of 1 g, and one direction
+        fits = [place for place in fits if _turns(rest[:, heavy[place].places])] or fits
     if len(fits) != 1 or len(heavy) < 2 or fits[0] > 1:
         return None
     forces = heavy[fits[0]]
@@ -149,6 +184,12 @@ def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) 
     if len(found) != 1:  # a magnetometer before them reads little as well
         return None
     return GuessedColumns(_three(ACCELEROMETERS, forces.places) | _three(GYROS, found[0]), forces.told)
+
+
+def _turns(rest: np.ndarray) -> bool:
+    """Tell whether the direction of three columns differs from rest to rest, (n, 3)."""
+    unit = rest / np.maximum(np.linalg.norm(rest, axis=1, keepdims=True), 1e-300)
+    return float(np.linalg.norm(unit.mean(axis=0))) < _ONE_DIRECTION
 
 
 def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Triple]) -> GuessedColumns | None:
@@ -199,7 +240,7 @@ def _refusal(
         f"{numbers[place]} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
     ]
     fits = [each.first for each in heavy if each.unit]
-    first = fits[0] if len(fits) == 1 else numbers[1 if clock == 0 else 0]
+    first = fits[0] if fits else numbers[1 if clock == 0 else 0]
     example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
     time = "" if clock is None else f" --column time_s={numbers[clock]}"
     issue = Issue(

@@ -13,7 +13,6 @@ from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, Ma
 from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.wording import counted
 
 LEAST_MEANS = 4
 # About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.
@@ -23,8 +22,8 @@ LEAST_APART = 10.0  # deg between some two poses
 
 
 MOST_POSES = 150
-"""Poses of a table that are used (effort): each brings two angles of its own.  The draws of a fit of 100 take half a
-minute, of 200 more than three."""
+"""Poses of a table that are fitted (effort): each brings two angles of its own.  The draws of a fit of 100 take half a
+minute, of 200 more than three.  More are merged."""
 
 
 def spread_over_the_sphere(direction: np.ndarray, most: int) -> np.ndarray:
@@ -79,26 +78,62 @@ def reduce_means(
     force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
     fit = fit_magnitude(force, gravity, scatter)
     flagged = fit.outliers
-    level, chosen = fit.apply(force), np.flatnonzero(~flagged)
-    if len(chosen) > MOST_POSES:
-        chosen = chosen[spread_over_the_sphere(level[chosen], MOST_POSES)]
+    level, chosen, good = fit.apply(force), np.flatnonzero(~flagged), np.flatnonzero(~flagged)
+    places = np.flatnonzero(complete)
+    merged = len(good) > MOST_POSES
+    if merged:
+        chosen = good[spread_over_the_sphere(level[good], MOST_POSES)]
         tumble = unturned(np.arange(len(chosen)), level[chosen], np.zeros(len(chosen), dtype=bool), len(channels))
     else:
         tumble = unturned(chosen, level, flagged, len(channels))
-    kept = np.flatnonzero(complete)[chosen]
-    notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
-    if left_out := int(np.sum(~flagged)) - len(kept):
-        notes.append(
-            f"{counted(left_out, 'pose')} left out, evenly over directions, to limit unknown attitudes: "
-            f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all"
-        )
-    notes += _calibration_notes(fit, np.flatnonzero(complete), force)
+    kept = {name: values[places[chosen]] for name, values in numbers.items()}
+    used = f"merged by direction into {len(chosen)}" if merged else f"{len(chosen)} of them used"
+    notes = [f"{rows} static poses given as means, {used}: each has |f| = g, its attitude is unknown"]
+    notes += _calibration_notes(fit, places, force)
     return ReducedTumble(
-        {name: values[kept] for name, values in numbers.items()},
+        _merged(kept, {name: values[places] for name, values in numbers.items()}, channels, fit, force, chosen, good)
+        if merged
+        else kept,
         tumble,
         tuple(notes),
         tuple(wrong_acceleration_unit(force, gravity, file)),
     )
+
+
+def _merged(
+    kept: Mapping[str, np.ndarray],
+    numbers: Mapping[str, np.ndarray],
+    channels: Sequence[Channel],
+    fit: MagnitudeFit,
+    force: np.ndarray,
+    chosen: np.ndarray,
+    good: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Return the columns of some poses with the information of all poses of about the same direction.
+
+    A pose of unknown attitude tells |f| alone.  Each chosen pose keeps its direction; its magnitude becomes the mean of
+    the residuals |f| − g of its group, which the calibration by |f| = g leaves, and its samples are those of the group.
+
+    Parameters
+    ----------
+    kept, numbers : columns of the chosen poses, and of all of `force`.
+    force : shape (R, 3), m/s².
+    chosen, good : places in `force` of the poses that are kept, and of all that are used, the chosen among them.
+    """
+    level = fit.apply(force)
+    down = level / np.linalg.norm(level, axis=1, keepdims=True)
+    group = np.argmax(down[good] @ down[chosen].T, axis=1)
+    samples = numbers["samples"][good]
+    total = np.bincount(group, samples, len(chosen))
+    change = np.bincount(group, samples * fit.residual[good], len(chosen)) / total - fit.residual[chosen]
+    moved = np.linalg.solve(fit.matrix, (down[chosen] * change[:, None]).T).T
+    columns = dict(kept) | {"samples": total}
+    for channel in channels:
+        if channel.name in columns and channel.kind == "accelerometer":
+            columns[channel.name] = kept[channel.name] + channel.scale_si * moved @ channel.axes[0]
+        elif channel.name in columns:
+            columns[channel.name] = np.bincount(group, samples * numbers[channel.name][good], len(chosen)) / total
+    return columns
 
 
 def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -> list[str]:

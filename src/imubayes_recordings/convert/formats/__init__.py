@@ -6,6 +6,7 @@ from imubayes.foundations.errors import closest_first, input_error
 from imubayes_recordings.convert.formats import (
     arrays,
     dataflash,
+    gyroflow,
     matlab_and_hdf5,
     mdf,
     novatel,
@@ -13,6 +14,7 @@ from imubayes_recordings.convert.formats import (
     ros_bag,
     tdms,
     ulog,
+    vectornav,
 )
 from imubayes_recordings.convert.formats.text import TextRecording
 from imubayes_recordings.convert.recording import ForeignRecording, RecordingKind, SourceRecording
@@ -45,6 +47,8 @@ KINDS = (
     RecordingKind("TDMS", lambda head: head.startswith(tdms.MAGIC), tdms.TdmsRecording, "npTDMS"),
     RecordingKind("MDF", lambda head: head.startswith(mdf.MAGIC), mdf.MdfRecording, "asammdf"),
     RecordingKind("NovAtel RAWIMU", novatel.is_rawimu, novatel.RawImuLog),
+    RecordingKind("Gyroflow", lambda head: head.startswith(gyroflow.MAGIC), gyroflow.GyroflowLog),
+    RecordingKind("VectorNav sentences", vectornav.is_vectornav, vectornav.VectorNavLog),
     RecordingKind("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
 )
 """The kinds that the beginning of a file tells; any other file is a text table."""

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--", "---", "#n/a", "#na", "#nv", "nat"}
 _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})")
-_CLOCK = re.compile(r"(?:(\d+) days? )?(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)(?: ?([aApP])[mM])?")
+_CLOCK = re.compile(r"(?:(\d+) days? )?(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*|:\d{3})?)(?: ?([aApP])[mM])?")
 _PARTED = re.compile(r"([\d./-]{8,10})[T_ ]+(\d+:[\d:.,]+(?: ?[aApP][mM])?) ?(Z|UTC|[+-]\d\d:?\d\d)?")
 _STAMP = re.compile(rf"\d{{4}}[-/]?\d{{2}}[-/]?\d{{2}}[T_ ]\d{{2}}.*|{_PARTED.pattern}")
 
@@ -67,7 +67,7 @@ def seconds_of_clock(cell: str) -> float:
         raise ValueError(f"'{cell}' is not a time of day")
     days, hours, half = int(found[1] or 0), int(found[2] or 0), (found[5] or "").lower()
     hours = hours % 12 + 12 * (half == "p") if half else hours
-    return 86400.0 * days + 3600.0 * hours + 60.0 * int(found[3]) + float(found[4].replace(",", "."))
+    return 86400.0 * days + 3600.0 * hours + 60.0 * int(found[3]) + float(found[4].replace(",", ".").replace(":", "."))
 
 
 def seconds_of_stamp(cell: str) -> float:

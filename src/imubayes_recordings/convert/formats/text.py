@@ -1,17 +1,17 @@
 """Text tables of any layout, read block by block; a few damaged lines are left out and counted."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from imubayes.foundations.errors import InputError, input_error
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.formats.cell_values import VALUE, CellKind
+from imubayes_recordings.convert.formats.line_tags import TaggedLine
 from imubayes_recordings.convert.formats.text_layout import (
     COMMENT_SIGN,
-    TextLayout,
     find_layout,
     open_text,
 )
@@ -19,7 +19,6 @@ from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, Sour
 
 _MOST_DAMAGED = 1e-4  # share of the lines; a torn last line is left out besides
 _LINES_FOR_ONE = 1000  # of which one may be damaged
-_PROBED_LINES, _MOST_KINDS = 300, 12
 
 
 class TextRecording(SourceRecording):
@@ -35,8 +34,8 @@ class TextRecording(SourceRecording):
         layout = self.layout
         if layout.tags:
             return tuple(
-                Topic(tag, tuple(map(SourceColumn, _names(layout, tag), map(_unit, kinds))), str(self.file))
-                for tag, kinds in layout.tags.items()
+                Topic(tag, _columns(line), f"{self.file}:{layout.first}", numbered=tag.isdigit())
+                for tag, line in layout.tags.lines.items()
             )
         fits = len(layout.names) == len(layout.kinds)
         units = layout.units if len(layout.units) == len(layout.kinds) else [""] * len(layout.kinds)
@@ -61,7 +60,7 @@ class TextRecording(SourceRecording):
     def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield rows; a damaged line is a row of NaN, and more than a few are refused."""
         layout, self._damaged, self._lines = self.layout, [], 0
-        kinds = layout.tags.get(topic.name, layout.kinds)
+        kinds = self._kinds(topic)
         self._refuse_text(topic, kinds, positions)
         plain = (
             not layout.tags
@@ -80,8 +79,10 @@ class TextRecording(SourceRecording):
 
     def parsed(self, lines: Sequence[str], topic: Topic, positions: Sequence[int]) -> np.ndarray:
         """Return rows of some lines, (n, positions): of a recording that is still written, line by line."""
-        kinds = self.layout.tags.get(topic.name, self.layout.kinds)
-        return self._by_line(list(enumerate(lines)), topic, kinds, positions)
+        return self._by_line(list(enumerate(lines)), topic, self._kinds(topic), positions)
+
+    def _kinds(self, topic: Topic) -> tuple[CellKind, ...]:
+        return self.layout.tags.lines[topic.name].kinds if self.layout.tags else self.layout.kinds
 
     def notes(self) -> tuple[str, ...]:
         """Return how many lines were left out, and which."""
@@ -123,16 +124,17 @@ class TextRecording(SourceRecording):
     def _by_line(
         self, rows: Sequence[tuple[int, str]], topic: Topic, kinds: Sequence[CellKind], positions: Sequence[int]
     ) -> np.ndarray:
-        layout, tagged = self.layout, bool(self.layout.tags)
-        read = [(place + tagged, VALUE[kinds[place]]) for place in positions]
+        layout, tags = self.layout, self.layout.tags
+        read = [(place, VALUE[kinds[place]]) for place in positions]
         values = []
         for number, line in rows:
             cells = layout.cells(line)
-            if tagged and cells[:1] != [topic.name]:
+            if tags and tags.tag_of(cells) != topic.name:
                 continue
+            cells = tags.beside(cells) if tags else cells
             try:
-                if len(cells) < len(kinds) + tagged:
-                    raise ValueError(f"{len(cells)} fields of {len(kinds) + tagged}")
+                if len(cells) < len(kinds):
+                    raise ValueError(f"{len(cells)} fields of {len(kinds)}")
                 values.append([value(cells[place]) for place, value in read])
             except ValueError as error:
                 self._damaged.append((number, str(error)))
@@ -144,8 +146,6 @@ class TextRecording(SourceRecording):
         most = int(np.ceil(self._lines * _MOST_DAMAGED)) if self._lines >= _LINES_FOR_ONE else 0
         if len(self._damaged) - torn > most:
             number, why = self._damaged[0]
-            if kinds := _line_kinds(self.file, self.layout):
-                raise _several_kinds(f"{self.file}:{number}", kinds)
             raise input_error(
                 f"{len(self._damaged)} of {self._lines} lines cannot be read; the first: {why}",
                 f"{self.file}:{number}",
@@ -158,27 +158,10 @@ def _unit(kind: CellKind) -> str:
     return {CellKind.NUMBER: "", CellKind.TEXT: "text"}.get(kind, kind.value)
 
 
-def _names(layout: TextLayout, tag: str) -> tuple[str, ...]:
-    """Return the names of the cells behind a tag, empty where no line lists them."""
-    return layout.tag_names.get(tag) or ("",) * len(layout.tags[tag])
-
-
-def _line_kinds(file: Path, layout: TextLayout) -> dict[str, int]:
-    """Return first cell → number of cells, where a number at the start of a line says what it holds; else nothing."""
-    with open_text(file, layout.encoding) as stream:
-        rows = [layout.cells(line) for line in islice(stream, layout.first - 1, layout.first + _PROBED_LINES)]
-    kinds = {row[0]: len(row) for row in rows if row}
-    steady = all(kinds[row[0]] == len(row) for row in rows if row)
-    return kinds if steady and 1 < len(kinds) <= _MOST_KINDS and len(set(kinds.values())) > 1 else {}
-
-
-def _several_kinds(where: str, kinds: Mapping[str, int]) -> InputError:
-    first, second, *_ = sorted(kinds, key=lambda kind: -kinds[kind])
-    return input_error(
-        "the lines are of several kinds: "
-        + ", ".join(f"'{kind}' with {count} fields" for kind, count in kinds.items()),
-        where,
-        "lines of one kind; or a word that names the sensor at the start of each, such as acc and gyro",
-        f"replace '{first}' and '{second}' at the start of the lines by the names of their sensors, and state the "
-        "fields behind them by number: --column time_s=1 --column ax=2 … --column gx=2 …",
+def _columns(line: TaggedLine) -> tuple[SourceColumn, ...]:
+    """Return the columns of lines with a tag; without names where no line lists them."""
+    names = line.names or ("",) * len(line.kinds)
+    return tuple(
+        SourceColumn(name, _unit(kind), place in line.labels)
+        for place, (name, kind) in enumerate(zip(names, line.kinds, strict=True))
     )

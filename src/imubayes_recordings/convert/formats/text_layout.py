@@ -5,8 +5,8 @@ import csv
 import gzip
 import lzma
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,7 @@ from imubayes.campaign.run_tables import has_decimal_comma
 from imubayes.foundations.errors import InputError, input_error
 from imubayes_recordings.convert.column_names import is_unit, role_of
 from imubayes_recordings.convert.formats.cell_values import CellKind, is_number, kind_of
+from imubayes_recordings.convert.formats.line_tags import FEW, LineTags, find_tags
 from imubayes_recordings.convert.formats.stated_rate import StatedRate, stated_rate
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": None}
@@ -23,8 +24,6 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": 
 COMMENT_SIGN = re.compile(r"\s*(#+|%+|!+|\*+|;+|//+|--+(?![\d.])) *")
 _MOST_LINES = 300  # among which the first numbers are sought
 _SAMPLE = 40  # lines by which the kinds of the columns are told
-_MOST_TAGS = 12
-_FEW = 6  # lines that tell the usual number of cells
 _LABELLED = 0.8  # share of the lines with the same labels
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
 _REMARKS = ("comment", "comments", "remark", "remarks")
@@ -46,9 +45,8 @@ class TextLayout:
     kinds : what each column holds, as many as data fields.
     head : the line of the names, which may come again.
     labels : what stands between the numbers, where each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
-    tags : first words of the lines, where each line says what it holds, with the kinds of its columns.
+    tags : the words that say what each line holds; None where lines do not say it.
     label_columns : columns that hold the same word in every line.
-    tag_names : first word of lines → names of the cells behind it, where a line above the table lists them.
     rate : the sampling rate that the lines above the table state; None where they state none.
     """
 
@@ -60,11 +58,10 @@ class TextLayout:
     names: tuple[str, ...]
     units: tuple[str, ...]
     kinds: tuple[CellKind, ...]
-    tags: dict[str, tuple[CellKind, ...]]
+    tags: LineTags | None = None
     head: str = ""
     labels: tuple[str, ...] = ()
     label_columns: frozenset[int] = frozenset()
-    tag_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rate: StatedRate | None = None
 
     def cells(self, line: str) -> list[str]:
@@ -125,7 +122,8 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
-        head, tags = dict(lines).get(heading, "").strip(), _tags(sample, names)
+        head = dict(lines).get(heading, "").strip()
+        above = [split_cells(_without_sign(text, separator), separator) for _, text in lines[:index]]
         return TextLayout(
             encoding,
             separator,
@@ -135,9 +133,8 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
             names,
             units,
             kinds,
-            tags,
+            find_tags(sample, names, _names_all(names, len(sample[0])), above),
             head,
-            tag_names=_tag_names(lines[:index], separator, tags),
             label_columns=_label_columns(sample, kinds),
             rate=stated_rate(lines[:index]),
         )
@@ -151,7 +148,7 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
 
 def _label_columns(sample: Sequence[Sequence[str]], kinds: Sequence[CellKind]) -> frozenset[int]:
     """Return the columns that hold the same word in every line."""
-    texts = [place for place, kind in enumerate(kinds) if kind is CellKind.TEXT and len(sample) >= _FEW]
+    texts = [place for place, kind in enumerate(kinds) if kind is CellKind.TEXT and len(sample) >= FEW]
     return frozenset(place for place in texts if len({tuple(row[place : place + 1]) for row in sample}) == 1)
 
 
@@ -234,22 +231,35 @@ def _heading(
 
     A line with a comment sign has names only where they are as many as the data fields: it may say anything.
     """
-    units: tuple[str, ...] = ()
-    for number, line in reversed(lines):
-        # Names may be delimited otherwise than numbers, but not within a cell.
-        others = () if separator and separator in line else ("\t", ";", ",", None)
-        for mark in dict.fromkeys((separator, *others)):
-            cells = split_cells(_without_sign(line, mark), mark)
-            for names in (cells, _without_trailing(cells), _shortened(cells)):
-                if len(names) not in widths:
-                    continue
-                if not units and all(is_unit(name) for name in names if name) and any(names):
-                    units = tuple(names)
-                    break
-                return number, tuple(names), units
-    if units:
-        return lines[-1][0], units, ()
-    return _last_names(lines[-1:], separator, min(widths))
+    found = [(number, names) for number, line in reversed(lines) if (names := _fitting(line, separator, widths))]
+    if not found:
+        return _last_names(lines[-1:], separator, min(widths))
+    (number, names), *above = found
+    if above and _are_units(names, above[0][1]):
+        return *above[0], names
+    return number, names, ()
+
+
+def _fitting(line: str, separator: str | None, widths: set[int]) -> tuple[str, ...]:
+    """Return the cells of a line that has as many as the data; empty if it has not.
+
+    Names may be delimited otherwise than numbers, but not within a cell.
+    """
+    others = () if separator and separator in line else ("\t", ";", ",", None)
+    for mark in dict.fromkeys((separator, *others)):
+        cells = split_cells(_without_sign(line, mark), mark)
+        for names in (cells, _without_trailing(cells), _shortened(cells)):
+            if len(names) in widths:
+                return tuple(names)
+    return ()
+
+
+def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
+    """Tell whether the cells of a line are units: all of them, or most below names that say what the columns are."""
+    filled = [cell for cell in cells if cell]
+    known = sum(map(is_unit, filled))
+    named = [cell for cell in above if cell and not is_unit(cell) and role_of(cell)]
+    return bool(filled) and (known == len(filled) or (len(named) > 1 and 2 * known > len(filled)))
 
 
 def _last_names(
@@ -273,7 +283,8 @@ def _typical(lines: Sequence[str], stated: str | None) -> list[str]:
     late = [split_cells(line, _separator(line, stated)[0]) for line in lines[len(lines) // 2 :]]
     widths = [len(row) for row in late]
     usual = max(set(widths), key=widths.count)
-    return next(row for row in late if len(row) == usual) if len(late) >= _FEW and not _tags(late) else []
+    tagged = find_tags(late, (), False, ())
+    return next(row for row in late if len(row) == usual) if len(late) >= FEW and tagged is None else []
 
 
 def _above(cells: Sequence[str], typical: Sequence[str]) -> bool:
@@ -297,7 +308,7 @@ def _labelled(encoding: str, lines: Sequence[tuple[int, str]]) -> TextLayout | N
         return None
     first = next(number for number, line in lines if _between(line) == usual)
     kinds = (CellKind.NUMBER,) * len(words)
-    return TextLayout(encoding, None, False, first, first, tuple(_numbered(words)), (), kinds, {}, "", usual)
+    return TextLayout(encoding, None, False, first, first, tuple(_numbered(words)), (), kinds, None, "", usual)
 
 
 def _with_owners(words: Sequence[str]) -> list[str]:
@@ -333,51 +344,3 @@ def _without_sign(line: str, separator: str | None) -> str:
     if sign is None or (separator and line[sign.end() :].startswith(separator)):
         return line
     return line[sign.end() :]
-
-
-def _is_word(cell: str) -> bool:
-    return cell[:1].isalpha() and not is_number(cell)
-
-
-def _names_a_sensor(words: Sequence[str], lines: int) -> bool:
-    """Tell whether the one first word of all of some lines is that of a sensor."""
-    return lines >= _FEW and len(words) == lines and role_of(f"{words[0]}[0]") is not None
-
-
-def _are_tags(words: Sequence[str], lines: int) -> bool:
-    """Tell whether the first words of some lines say what these hold."""
-    count = len(set(words))
-    return 1 <= count <= _MOST_TAGS and all(map(_is_word, words)) and (count > 1 or _names_a_sensor(words, lines))
-
-
-def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[str, tuple[CellKind, ...]]:
-    """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
-
-    One word alone, in every line, says it where it names a sensor; below names for all columns it is a label.  Names
-    that begin with a tag are those of its lines.
-    """
-    rows = [row for row in sample if len(row) > 2]
-    words = [row[0] for row in rows]
-    if _names_all(names, len(sample[0])) and names[0] not in words:
-        return {}
-    tags = dict.fromkeys(words if _are_tags(words, len(sample)) else ())
-    return {
-        tag: tuple(
-            kind_of([row[place] for row in rows if row[0] == tag and place < len(row)])
-            for place in range(1, min(len(row) for row in rows if row[0] == tag))
-        )
-        for tag in tags
-    }
-
-
-def _tag_names(
-    lines: Sequence[tuple[int, str]], separator: str | None, tags: Mapping[str, Sequence[CellKind]]
-) -> dict[str, tuple[str, ...]]:
-    """Return tag → names of its cells, of those tags that begin a line above the table with as many cells."""
-    found = {}
-    for _, line in lines:
-        cells = split_cells(_without_sign(line, separator), separator)
-        text = all(kind_of([cell]) is CellKind.TEXT for cell in cells)
-        if text and cells and len(cells) - 1 == len(tags.get(cells[0], ())) > 0:
-            found[cells[0]] = tuple(cells[1:])
-    return found
