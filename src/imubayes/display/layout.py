@@ -211,9 +211,14 @@ class _Width:
         prose = any(word.isalpha() and len(word) > 1 for text in texts for word in text.split())
         whole = longest if prose and not numbers else widest
         words = min(longest, _MOST_WORD) if place else min(widest, _LEAST_NAME)
-        joined = (text.replace(" ± ", "_±_").split() for text in texts)
-        values = max([words, *(len(each) for parts in joined for each in parts if "±" in each)])
-        return cls(natural, max(whole, longest), values if place else longest, words)
+        values = max(words, _widest_value(texts)) if place else longest
+        return cls(natural, max(whole, longest), values, words)
+
+
+def _widest_value(texts: Sequence[str]) -> int:
+    """Return the length of the longest number with its uncertainty, without its unit."""
+    joined = (part for text in texts for part in text.replace(" ± ", "_±_").split())
+    return max((len(part) for part in joined if "±" in part), default=0)
 
 
 def _fitted(columns: Sequence[_Width], room: int) -> list[int]:
