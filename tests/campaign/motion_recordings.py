@@ -123,7 +123,12 @@ def read(
 
 
 def waved(
-    errors: UnitErrors, seed: int, seconds: float = 180.0, hz: float = 100.0, reach: float = 0.04, knocks: int = 0,
+    errors: UnitErrors,
+    seed: int,
+    seconds: float = 180.0,
+    hz: float = 100.0,
+    reach: float = 0.04,
+    knocks: int = 0,
     setup: SetUp | None = None,
 ) -> dict[str, np.ndarray]:
     """Return a unit that is waved slowly through all attitudes by a hand that moves by `reach` m meanwhile."""
@@ -138,7 +143,15 @@ def waved(
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
-    return read(errors, rng, lambda t: Rotation.from_euler("xyz", at(t, angles)), lambda t: at(t, path), seconds, hz, setup=setup)
+    return read(
+        errors,
+        rng,
+        lambda t: Rotation.from_euler("xyz", at(t, angles)),
+        lambda t: at(t, path),
+        seconds,
+        hz,
+        setup=setup,
+    )
 
 
 def drilled(
@@ -177,7 +190,15 @@ def drilled(
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
-    return read(errors, rng, lambda t: Rotation.from_quat(at(t, quaternion)), lambda t: at(t, off + shake), seconds, hz, setup=setup)
+    return read(
+        errors,
+        rng,
+        lambda t: Rotation.from_quat(at(t, quaternion)),
+        lambda t: at(t, off + shake),
+        seconds,
+        hz,
+        setup=setup,
+    )
 
 
 def drilled_all(errors: UnitErrors, seed: int, **more) -> dict[str, dict[str, np.ndarray]]:
