@@ -37,7 +37,7 @@ class UnitErrors:
 
 @dataclass(frozen=True)
 class SetUp:
-    """What is not as the campaign states it: local gravity, m/s², relative error of the clock, and times by ± jitter, s.
+    """What is not as the campaign states it: local gravity, m/s², relative error of the clock, times by ± `jitter`, s.
 
     `lag` is the delay of the gyros against the accelerometers, s.
     """

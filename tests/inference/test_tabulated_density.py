@@ -22,7 +22,7 @@ def test_a_skewed_density():
 
 
 def test_a_cliff_between_knots_makes_no_maximum() -> None:
-    """A scale that the data bound from above: a cubic spline swings up before the fall, and holds all the mass there."""
+    """A scale that the data bound from above: a cubic spline swings up before the fall, and the mass is there."""
     outwards = np.array([0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0])
     knots = np.concatenate([-outwards[::-1], [0.0], outwards])
 
