@@ -174,7 +174,11 @@ def _turned_slope(primals, tangents):
     turned = _turned(vectors)
     by_step = turned[:, 1:] @ jax.vmap(jax.vmap(right_jacobian))(vectors)
     each = jnp.einsum("tkij,tkj->kti", by_step, moved)
-    _, sums = jax.lax.scan(lambda so_far, step: (so_far + step,) * 2, jnp.zeros_like(each[0]), each)
+
+    def onward(so_far: Array, step: Array) -> tuple[Array, Array]:
+        return so_far + step, so_far + step
+
+    sums = jax.lax.scan(onward, jnp.zeros_like(each[0]), each)[1]
     along = jnp.concatenate([jnp.zeros_like(each[:1]), sums]).swapaxes(0, 1)
     return turned, jnp.cross(along[..., None, :], turned.swapaxes(-1, -2)).swapaxes(-1, -2)
 
