@@ -11,6 +11,7 @@ from imubayes.foundations.arrays import (
     compose,
     cross,
     exponential,
+    right_jacobian,
     rotate,
     rotate_back,
     small_rotation,
@@ -94,3 +95,12 @@ def test_turning_back_about_z_undoes_a_right_handed_turn():
 def test_a_small_rotation_is_sine_times_axis(length):
     matrix = Rotation.from_rotvec(DIRECTION * length).as_matrix()
     np.testing.assert_allclose(small_rotation(jnp.asarray(matrix)), np.sin(length) * DIRECTION, atol=1e-15)
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-9, 9.99e-3, 1.001e-2, 0.3, 2.0])
+def test_the_right_jacobian_moves_a_rotation_as_its_vector_does(length):
+    """exp(φ)ᵀ ∂exp(φ)/∂φ_k = [J e_k]×."""
+    vector = length * DIRECTION
+    slope = np.asarray(exponential(jnp.asarray(vector))).T @ np.moveaxis(np.asarray(FIRST(vector)), 2, 0)
+    expected = np.array([skew(column) for column in np.asarray(right_jacobian(jnp.asarray(vector))).T])
+    np.testing.assert_allclose(slope, expected, atol=1e-12)

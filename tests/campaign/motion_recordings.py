@@ -35,6 +35,25 @@ class UnitErrors:
     noise: tuple[float, float] = (0.02, 0.0017)
 
 
+@dataclass(frozen=True)
+class SetUp:
+    """What is not as the campaign states it: local gravity, m/s², relative error of the clock, times by ± `jitter`, s.
+
+    `lag` is the delay of the gyros against the accelerometers, s.
+    """
+
+    gravity: float = GRAVITY
+    clock: float = 0.0
+    jitter: float = 0.0
+    lag: float = 0.0
+
+
+def _delayed(values: np.ndarray, samples: float) -> np.ndarray:
+    """Return values (n, 3) delayed by a number of samples."""
+    place = np.arange(len(values))
+    return np.stack([np.interp(place - samples, place, column) for column in values.T], axis=1)
+
+
 def random_unit(rng: np.random.Generator, **more) -> UnitErrors:
     """Return a consumer unit whose first accelerometer defines x, and the second the plane of x and y."""
     tilt = np.zeros((3, 3))
@@ -64,6 +83,7 @@ def shaken(rng: np.random.Generator, time: np.ndarray, size: float = 0.1, terms:
 def read(
     errors: UnitErrors, rng: np.random.Generator, attitude: Callable[[np.ndarray], Rotation],
     place: Callable[[np.ndarray], np.ndarray], seconds: float, hz: float, walk: float = 0.0,
+    setup: "SetUp | None" = None,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """Return the columns that a unit reads, each sample a mean over the sampling interval.
 
@@ -72,7 +92,9 @@ def read(
     attitude : body → local level, at times.
     place : of the accelerometers in the local level, m, shape (n, 3), at times.
     walk : random walk of the rate of the gyros, rad/s per √s.
+    setup : what else is not as the campaign states it.
     """
+    setup = setup or SetUp()
     step = 1 / (hz * FINE)
     time = (np.arange(round(seconds * hz) * FINE + 2) - 0.5) * step
     turned, here = attitude(time), place(time)
@@ -81,10 +103,12 @@ def read(
     rate = rate + middle.inv().apply(EARTH)
     before, after = place(time - step), place(time + step)
     moved = (before - 2 * here + after) / step**2
-    force = turned.inv().apply(moved + np.array([0, 0, GRAVITY]))
+    force = turned.inv().apply(moved + np.array([0, 0, setup.gravity]))
     force = 0.5 * (force[:-1] + force[1:])
     whole = round(seconds * hz)
     force, rate = (each[: whole * FINE].reshape(whole, FINE, 3).mean(axis=1) for each in (force, rate))
+    if setup.lag:
+        rate = _delayed(rate, setup.lag * hz)
     felt = force @ (np.eye(3) + errors.accel_tilt).T
     seen = rate @ (np.eye(3) + errors.gyro_tilt).T
     drift = np.cumsum(rng.normal(0, walk / np.sqrt(hz), (whole, 3)), axis=0)
@@ -93,12 +117,19 @@ def read(
     read_rate = (1 + errors.gyro_scale) * (driven + errors.gyro_bias) + drift
     read_force = read_force + rng.normal(0, errors.noise[0], read_force.shape)
     read_rate = read_rate + rng.normal(0, errors.noise[1], read_rate.shape)
-    clock = (np.arange(whole) + 0.5) / hz
+    clock = (np.arange(whole) + 0.5) / hz * (1 + setup.clock)
+    clock = clock + setup.jitter * rng.uniform(-1, 1, whole)
     return {"time_s": clock} | dict(zip(NAMES, np.hstack([read_force, read_rate]).T, strict=True))
 
 
 def waved(
-    errors: UnitErrors, seed: int, seconds: float = 180.0, hz: float = 100.0, reach: float = 0.04, knocks: int = 0
+    errors: UnitErrors,
+    seed: int,
+    seconds: float = 180.0,
+    hz: float = 100.0,
+    reach: float = 0.04,
+    knocks: int = 0,
+    setup: SetUp | None = None,
 ) -> dict[str, np.ndarray]:
     """Return a unit that is waved slowly through all attitudes by a hand that moves by `reach` m meanwhile."""
     rng = np.random.default_rng(seed)
@@ -112,12 +143,20 @@ def waved(
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
-    return read(errors, rng, lambda t: Rotation.from_euler("xyz", at(t, angles)), lambda t: at(t, path), seconds, hz)
+    return read(
+        errors,
+        rng,
+        lambda t: Rotation.from_euler("xyz", at(t, angles)),
+        lambda t: at(t, path),
+        seconds,
+        hz,
+        setup=setup,
+    )
 
 
 def drilled(
     errors: UnitErrors, seed: int, axis: int, sense: float, seconds: float = 20.0, hz: float = 100.0,
-    turns_per_second: float = 1.0, lean: float = 0.0,
+    turns_per_second: float = 1.0, lean: float = 0.0, setup: SetUp | None = None,
 ) -> dict[str, np.ndarray]:  # fmt: skip
     """Return a unit that is turned about one of its axes, which lies level within some degrees and wobbles.
 
@@ -151,10 +190,18 @@ def drilled(
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
-    return read(errors, rng, lambda t: Rotation.from_quat(at(t, quaternion)), lambda t: at(t, off + shake), seconds, hz)
+    return read(
+        errors,
+        rng,
+        lambda t: Rotation.from_quat(at(t, quaternion)),
+        lambda t: at(t, off + shake),
+        seconds,
+        hz,
+        setup=setup,
+    )
 
 
-def drilled_all(errors: UnitErrors, seed: int, **more: float) -> dict[str, dict[str, np.ndarray]]:
+def drilled_all(errors: UnitErrors, seed: int, **more) -> dict[str, dict[str, np.ndarray]]:
     """Return six runs: each axis of the body, both ways."""
     found = {}
     for axis, name in enumerate("xyz"):

@@ -8,7 +8,7 @@ import pytest
 
 from imubayes.inference.conditional_precision import conditional, conditional_precision, precision_blocks
 from imubayes.inference.laplace_marginal import knowledge
-from imubayes.inference.nested_laplace import hyper_probes
+from imubayes.inference.nested_laplace import grouped_normals, hyper_probes
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import prior_widths
@@ -74,3 +74,16 @@ def test_a_correlation_near_one_leaves_the_precision_positive_and_right_for_mean
         assert np.linalg.eigvalsh(precision).min() > 0
         known = knowledge(model.problem, at.about, h).precision + np.diag(prior_widths(model.problem, h) ** -2)
         np.testing.assert_allclose(np.diag(precision) / np.diag(known), 1, atol=0.3)
+
+
+def test_draws_in_fours_share_noise_scales_and_show_their_marginals() -> None:
+    normal = grouped_normals(4000, 3, 2)
+    assert normal.shape == (4000, 5)
+    fours = normal.reshape(1000, 4, 5)
+    assert np.all(fours[:, :, 3:] == fours[:, :1, 3:])
+    np.testing.assert_array_equal(fours[:, ::2, :3], -fours[:, 1::2, :3])
+    # Strata: each thousandth of a marginal is drawn once.
+    ends = np.quantile(fours[:, 0, 3:], (0.025, 0.975), axis=0)
+    np.testing.assert_allclose(ends, np.array([[-1.96] * 2, [1.96] * 2]), atol=0.02)
+    assert abs(np.corrcoef(fours[:, 0, 3:].T)[0, 1]) < 0.1
+    np.testing.assert_allclose(normal[:, :3].std(axis=0), 1.0, atol=0.05)

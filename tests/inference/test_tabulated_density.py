@@ -21,6 +21,22 @@ def test_a_skewed_density():
     np.testing.assert_allclose(table.sd(), stats.skewnorm.std(3.0), rtol=1e-2)
 
 
+def test_a_cliff_between_knots_makes_no_maximum() -> None:
+    """A scale that the data bound from above: a cubic spline swings up before the fall, and the mass is there."""
+    outwards = np.array([0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0])
+    knots = np.concatenate([-outwards[::-1], [0.0], outwards])
+
+    def density(x: np.ndarray) -> np.ndarray:
+        return np.maximum(-0.5 * x**2 - 40.0 * np.maximum(x - 0.5, 0.0) ** 3, -200.0)
+
+    table = table_of(density, knots)
+    fine = np.linspace(-8, 8, 4001)
+    mass = np.exp(density(fine))
+    below = mass[fine < 0].sum() / mass.sum()
+    assert stats.norm.cdf(np.asarray(to_normal(table, np.zeros(1)))[0]) == pytest.approx(below, abs=0.03)
+    assert np.argmax(table.log_density[0]) == np.argmin(np.abs(table.knots[0]))
+
+
 @pytest.mark.slow
 def test_two_modes_keep_their_masses():
     table = table_of(lambda x: np.logaddexp(np.log(0.8) - 0.5 * (x + 3) ** 2, np.log(0.2) - 0.5 * (x - 3) ** 2))

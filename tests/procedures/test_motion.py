@@ -146,6 +146,19 @@ def test_a_unit_in_motion_is_linearised_without_compiling(caplog: pytest.LogCapt
     np.testing.assert_allclose(about.jacobian @ step, (before.misfit - after.misfit) / 2, rtol=1e-4, atol=1e-12)
 
 
+def test_the_derivative_of_the_motion_is_that_of_its_differences() -> None:
+    """Of the inverted outputs and of the products of rotations, whose derivatives are written in closed form."""
+    errors = random_unit(np.random.default_rng(1))
+    model = imubayes.bind(model_of(), campaign_of({"waved": waved(errors, 1, seconds=20.0, hz=50.0)}, "slow_motion"))
+    problem, z = model.problem, first_point(model.assembly)
+    gyros = [place for place, name in enumerate(model.layout.names) if name.startswith("gyro_")]
+    step = np.zeros(len(z))
+    step[gyros] = 3e-4 * np.random.default_rng(3).normal(size=len(gyros))
+    before, about, after = (linearise_once(problem, point) for point in (z - step, z, z + step))
+    moved = (before.misfit - after.misfit) / 2
+    np.testing.assert_allclose(about.jacobian @ step, moved, atol=1e-6 * np.abs(moved).max())
+
+
 def test_a_short_log_is_refused() -> None:
     errors = random_unit(np.random.default_rng(1))
     short = {name: values[:200] for name, values in waved(errors, 1, seconds=5.0).items()}

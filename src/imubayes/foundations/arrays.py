@@ -311,6 +311,24 @@ def turn_back_about_z(vector: Vector3, angle: Scalar) -> Vector3:
 
 
 @_traced_once
+def right_jacobian(rotation: Vector3) -> Matrix3:
+    """Return J of exp(φ + dφ) = exp(φ) exp(J dφ), shape (3, 3), for a rotation vector φ in rad, shape (3,).
+
+    J = I − (1 − cos θ)/θ² [φ]× + (θ − sin θ)/θ³ [φ]×², θ = |φ| (Solà, Deray and Atchuthan, arXiv 1812.01537, eq. 143).
+    """
+    square = rotation @ rotation
+    small = square < _SERIES_BELOW
+    safe = jnp.where(small, 1.0, square)
+    angle = jnp.sqrt(safe)
+    versine = jnp.where(small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), (1 - jnp.cos(angle)) / safe)
+    series = 1 / 6 - square / 120 * (1 - square / 42 * (1 - square / 72))
+    third = jnp.where(small, series, (angle - jnp.sin(angle)) / (safe * angle))
+    x, y, z = rotation[0], rotation[1], rotation[2]
+    none = jnp.zeros_like(x)
+    cross = jnp.stack([jnp.stack([none, -z, y]), jnp.stack([z, none, -x]), jnp.stack([-y, x, none])])
+    return jnp.eye(3) - versine * cross + third * (cross @ cross)
+
+
 def small_rotation(matrix: Matrix3) -> Vector3:
     """Return sin(θ)·axis of a rotation matrix, which is smooth and equals the rotation vector up to O(θ³)."""
     return 0.5 * jnp.stack([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])

@@ -192,6 +192,9 @@ class ScaleMarginal:
         """Return log p(y, h) at several h, (n, H); shape (n,)."""
         if self.statistics is not None:
             return self.statistics.log_marginals(points)
+        if self.problem.timeline is not None:
+            # By the program of the gradient, which is at hand: a recursion over rows takes NumPy ten times as long.
+            return self.slopes(points)[0]
         return np.array([float(log_marginal(self.problem, self.about, point)) for point in points])
 
     @_SILENT

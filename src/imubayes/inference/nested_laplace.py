@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 import scipy  # loads its parts when they are first used
+import scipy.special
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, cholesky, solve_each, solve_lower
@@ -62,7 +63,9 @@ _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
 _NOWHERE = -200.0
 # Draws whose precisions are formed and factored together: of more, what is read again is no longer in the cache.
-_AT_ONCE = 32
+_AT_ONCE = 64
+# Noise scales for a multiple of which a density is compiled.
+_COMPILED_FOR = 16
 
 
 @dataclass(frozen=True)
@@ -327,6 +330,21 @@ class _Given:
 
 
 def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Given:
+    """Return the density of θ given each h, (n, H), computed once for neighbours that are alike."""
+    first, place = _neighbours(h)
+    found = _computed(approximation, problem, h[first])
+    if len(first) == len(h):
+        return found
+    return _Given(found.factor[place], found.half[place], None if found.at_mode is None else found.at_mode[place])
+
+
+def _neighbours(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first row of each stretch of equal rows, and the stretch of each row, (n,)."""
+    begins = np.concatenate([[True], np.any(h[1:] != h[:-1], axis=1)])
+    return np.flatnonzero(begins), np.cumsum(begins) - 1
+
+
+def _computed(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Given:
     of, at_mode = approximation.blocks, None
     if isinstance(of, ScaleStatistics):
         known = of.normal(h)
@@ -371,7 +389,9 @@ def points_and_marginals(
         found, _, given = _to_points(approximation, problem, rows)
         density = given.at_mode
         if density is None:
-            density = np.asarray(_log_densities(problem, misfit, approximation.z, found[:, size:]))
+            first, place = _neighbours(found[:, size:])
+            some = np.resize(first, -len(first) % _COMPILED_FOR + len(first))
+            density = np.asarray(_log_densities(problem, misfit, approximation.z, found[some, size:]))[place]
         log_determinant = np.log(np.diagonal(given.factor, axis1=1, axis2=2)).sum(axis=1)
         points.append(found)
         marginals.append(density + 0.5 * np.sum(given.half**2, axis=1) - log_determinant)
@@ -390,6 +410,21 @@ def _log_densities(problem: Problem, misfit, z, h: Float[Array, "n H"]) -> Float
 
 def _blocks(rows: np.ndarray) -> list[np.ndarray]:
     return np.split(rows, range(_AT_ONCE, len(rows), _AT_ONCE))
+
+
+def grouped_normals(draws: int, size: int, scales: int) -> np.ndarray:
+    """Return standard normal vectors (draws, size + scales) in fours with the same noise scales, for `to_points`.
+
+    The precision of θ is computed once for each four, two pairs of opposite θ.  The noise scales are stratified along
+    each axis (Latin hypercube, McKay, Beckman and Conover 1979), so that a quarter as many show their marginals no less
+    accurately than independent ones would.
+    """
+    random, groups = np.random.RandomState(0), -(-draws // 4)
+    strata = np.argsort(random.uniform(size=(groups, scales)), axis=0)
+    of_scales = scipy.special.ndtri((strata + random.uniform(size=(groups, scales))) / groups)
+    pair = random.normal(size=(groups, 2, size))
+    own = np.stack([pair, -pair], axis=2).reshape(4 * groups, size)
+    return np.concatenate([own, np.repeat(of_scales, 4, axis=0)], axis=1)[:draws]
 
 
 def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarray):

@@ -20,6 +20,7 @@ from imubayes.inference.laplace_proposal import systematic
 from imubayes.inference.nested_laplace import (
     HyperMarginal,
     NestedLaplace,
+    grouped_normals,
     hyper_density,
     hyper_marginal,
     nested_laplace,
@@ -106,9 +107,12 @@ def posterior_points(
     draws : number n of them, or standard normal vectors (n, P + H) to make them of.
     """
     size = problem.size[0]
-    normal = (
-        draws if isinstance(draws, np.ndarray) else np.random.RandomState(0).normal(size=(draws, sum(problem.size)))
-    )
+    if isinstance(draws, np.ndarray):
+        normal = draws
+    elif problem.timeline is not None:  # the precision takes as long as all the rest
+        normal = grouped_normals(draws, *problem.size)
+    else:
+        normal = np.random.RandomState(0).normal(size=(draws, sum(problem.size)))
     all_modes = (modes.highest, *modes.with_mass)
     proposals = [approximation, *(nested_laplace(problem, mode) for mode in modes.with_mass)]
     evidence = np.array([log_evidence(mode) for mode in all_modes])

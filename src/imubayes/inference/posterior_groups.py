@@ -200,7 +200,9 @@ ENTRY = "entry"
 # Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and
 # at most; outputs are replicated of the same draws, as LOO-PIT asks for, and of a quarter as many of the prior.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
-_PRIOR_SHARE, _BATCH = 4, 20
+_PRIOR_SHARE = 4
+# Draws whose outputs are computed at a time: some 100 000 values, since NumPy takes as long for 20 draws as for 100.
+_BATCH_VALUES, _FEWEST_AT_ONCE, _MOST_AT_ONCE = 100_000, 20, 128
 # Draws are rounded to binary places below these shares of their spread, since what follows is noise that no file can be
 # compressed with.  Of parameters 6e-8 of a standard deviation: a sum or difference of them may be known 5e4 times
 # better than each, and its uncertainty then changes by less than a thousandth.  Replicated outputs are rounded to an
@@ -333,14 +335,16 @@ def _prior_points(problem: Problem, posterior: Posterior, random: np.random.Gene
 def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return replicated outputs and log likelihoods of draws in z (chain, draw, P + H), each (chain, draw, E)."""
     size, points = problem.size[0], draws.reshape(-1, draws.shape[-1])
-    blocks = [slice(begin, begin + _BATCH) for begin in range(0, len(points), _BATCH)]
-    replicated = np.empty((len(points), len(problem.observations.value)))
+    count = len(problem.observations.value)
+    batch = min(max(_BATCH_VALUES // count, _FEWEST_AT_ONCE), _MOST_AT_ONCE)
+    blocks = [slice(begin, begin + batch) for begin in range(0, len(points), batch)]
+    replicated = np.empty((len(points), count))
     entry = np.empty(replicated.shape, dtype=np.float32)
     # A block at a time: of a large campaign each copy of all takes as much memory as the fit.
     for block in blocks:
         predicted = predict_many(problem, points[block, :size])
         both = np.concatenate([predicted, points[block, size:]], axis=1)
-        deviation, tail, density = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
+        deviation, tail, density = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, batch), 1, 0)
         alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
         replicated[block] = predicted + deviation * alone
         entry[block] = rounded(density, np.array(_DENSITY_STEP))

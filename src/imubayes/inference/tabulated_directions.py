@@ -29,6 +29,8 @@ from imubayes.model.problem import Problem, prior_widths
 _LEAST_SLOPE = 0.5
 # Finer cells of the table for each of the coarse ones that are given.
 _CELLS = 4
+# A spline that is higher than all knots by more than this has overshot: a fifth of a nat.
+_OVERSHOT = 0.2
 # Cells over which the logarithm changes by less are level.
 _LEVEL = 1e-9
 # What is farther out stays finite as a normal variable.
@@ -74,8 +76,8 @@ def tabulate(knots: np.ndarray, log_density: np.ndarray, scale: np.ndarray) -> T
     place = np.arange(knots.shape[-1])
     shape = (len(knots), len(fine))
     at = np.array([np.interp(fine, place, row) for row in knots]).reshape(shape)
-    splines = [scipy.interpolate.CubicSpline(row, height) for row, height in zip(knots, log_density, strict=True)]
-    values = np.array([spline(row) for spline, row in zip(splines, at, strict=True)]).reshape(shape)
+    rows = zip(knots, log_density, at, strict=True)
+    values = np.array([_interpolated(row, height, fine) for row, height, fine in rows]).reshape(shape)
     step, change = np.diff(at), np.diff(values)
     tails = np.stack([change[:, 0] / step[:, 0], -change[:, -1] / step[:, -1]], axis=-1)
     tails = np.maximum(tails, _LEAST_SLOPE / scale[:, None])
@@ -88,6 +90,18 @@ def tabulate(knots: np.ndarray, log_density: np.ndarray, scale: np.ndarray) -> T
     total = (below + above)[:, :1]
     arrays = (at, values - np.log(total), tails, below / total, above / total)
     return TabulatedDensity(*arrays)
+
+
+def _interpolated(knots: np.ndarray, heights: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return heights (K,) at knots (K,) interpolated by a cubic spline; shape-preserving if that overshoots.
+
+    Beside a cliff, as of a scale that the data bound from above, a spline swings to maxima that no knot has, and the
+    table holds its mass there.
+    """
+    spline = scipy.interpolate.CubicSpline(knots, heights)(at)
+    if spline.max() <= heights.max() + _OVERSHOT:
+        return spline
+    return scipy.interpolate.PchipInterpolator(knots, heights)(at)
 
 
 def from_normal(table: TabulatedDensity, normal: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:

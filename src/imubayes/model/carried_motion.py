@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.foundations.arrays import Array, Bool, Float, Int, compose, exponential, take
+from imubayes.foundations.arrays import Array, Bool, Float, Int, compose, take
 from imubayes.foundations.signal_path_state import HandMotion
 from imubayes.model.assembly import Assembly
 from imubayes.model.integrated_outputs import Transitions
@@ -77,17 +77,17 @@ def carried_motion(
     transitions: Transitions,
     carried: CarriedInstants,
     rate: Float[Array, "TK 3"],
+    since_start: Float[Array, "T Kp 3 3"],
 ) -> HandMotion:
     """Return the motion of every node since its pose; of a node that is not carried the identity.
 
     Parameters
     ----------
     rate : mean inertial rate of every step, rad/s, body axes.
+    since_start : products of the rotations of each transition, as of `turned_since_start`.
     """
-    rotation = rate.reshape(*transitions.step.shape, 3) * transitions.step[..., None] + transitions.coning
-    total, since_start = _since_start(jax.vmap(jax.vmap(exponential))(rotation))
     ahead = since_start[carried.turn, carried.step]
-    behind = jax.vmap(lambda whole, part: compose(whole.T, part))(take(total, carried.turn), ahead)
+    behind = jax.vmap(lambda whole, part: compose(whole.T, part))(take(since_start[:, -1], carried.turn), ahead)
     turn = jnp.where(carried.back[:, None, None], behind, ahead)
     elapsed = jnp.concatenate([jnp.zeros((len(transitions.step), 1)), jnp.cumsum(transitions.step, axis=1)], axis=1)
     time = elapsed[carried.turn, carried.step] - jnp.where(carried.back, elapsed[carried.turn, -1], 0.0)
@@ -104,17 +104,6 @@ def carried_motion(
         acceleration=of_all((late - early) * carried.per_second[:, None], none),
         carried=of_all(jnp.ones(len(carried.turn)), none[0]),
     )
-
-
-def _since_start(rotations: Float[Array, "T K 3 3"]) -> tuple[Float[Array, "T 3 3"], Float[Array, "T Kp 3 3"]]:
-    """Return the product of all K rotations, and the products of the first 0, 1, … K of them."""
-
-    def onward(so_far: Array, step: Array) -> tuple[Array, Array]:
-        return jax.vmap(compose)(so_far, step), so_far
-
-    first = jnp.broadcast_to(jnp.eye(3), (len(rotations), 3, 3))
-    total, before = jax.lax.scan(onward, first, jnp.swapaxes(rotations, 0, 1))
-    return total, jnp.concatenate([jnp.swapaxes(before, 0, 1), total[:, None]], axis=1)
 
 
 def first_point(assembly: Assembly) -> np.ndarray:

@@ -22,7 +22,7 @@ import lazy_loader
 import numpy as np
 
 from imubayes.effects.base import RecordEffect, Stage
-from imubayes.foundations.arrays import Array, Float, compose, exponential, small_rotation, take
+from imubayes.foundations.arrays import Array, Float, compose, exponential, right_jacobian, small_rotation, take
 from imubayes.foundations.campaign_data import Campaign, Tumble
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Records, SignalPath
 from imubayes.model.assembly import Assembly
@@ -36,8 +36,9 @@ else:
     diffrax = lazy_loader.load("diffrax")  # takes long to import, and few fits need it
 
 
-# Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the fourth is 1 ppm.
-_ROUNDS = 4
+# Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the sixth is 1e-9.
+# The derivative is that of the exact inverse: after fewer rounds the two would not agree.
+_ROUNDS = 6
 
 
 class Transitions(eqx.Module):
@@ -138,42 +139,112 @@ def inverted_rates(
     channels : constants of the channels, per kind.
     values : all parameters in SI, then the null values.
     """
-    return _inverted(transitions, channels, values)["gyro"]
+    place = 3 * list(transitions.readings).index("gyro")
+    return _inverted(values, transitions=transitions, channels=channels)[:, place : place + 3]
 
 
-def closing_rotations(transitions: Transitions, motion: Motion, rate: Float[Array, "TK 3"]) -> Float[Array, "T 3"]:
+def turned_since_start(transitions: Transitions, rate: Float[Array, "TK 3"]) -> Float[Array, "T Kp 3 3"]:
+    """Return the products of the first 0, 1, … K rotations of every transition.
+
+    Parameters
+    ----------
+    transitions : the recorded motion between poses.
+    rate : mean inertial rate of every step, rad/s, body axes.
+    """
+    return _turned(rate.reshape(*transitions.step.shape, 3) * transitions.step[..., None] + transitions.coning)
+
+
+@jax.custom_jvp
+def _turned(vectors: Float[Array, "T K 3"]) -> Float[Array, "T Kp 3 3"]:
+    """Return the products of the first 0, 1, … K rotations by vectors."""
+    first = jnp.broadcast_to(jnp.eye(3), (len(vectors), 3, 3))
+    steps = jnp.swapaxes(jax.vmap(jax.vmap(exponential))(vectors), 0, 1)
+    total, before = jax.lax.scan(lambda so_far, step: (so_far @ step, so_far), first, steps)
+    return jnp.concatenate([jnp.swapaxes(before, 0, 1), total[:, None]], axis=1)
+
+
+@_turned.defjvp
+def _turned_slope(primals, tangents):
+    """Return the products and their derivatives, from sums of vectors in place of products of matrices.
+
+    With C_k the product of the first k rotations, exp(φ + dφ) = exp(φ) exp(J dφ), J the right Jacobian, gives
+    dC_k = [Σ_j C_(j+1) J_j dφ_j]× C_k, j < k (Solà, Deray and Atchuthan, arXiv 1812.01537, eq. 143).
+    """
+    (vectors,), (moved,) = primals, tangents
+    turned = _turned(vectors)
+    by_step = turned[:, 1:] @ jax.vmap(jax.vmap(right_jacobian))(vectors)
+    each = jnp.einsum("tkij,tkj->kti", by_step, moved)
+
+    def onward(so_far: Array, step: Array) -> tuple[Array, Array]:
+        return so_far + step, so_far + step
+
+    sums = jax.lax.scan(onward, jnp.zeros_like(each[0]), each)[1]
+    along = jnp.concatenate([jnp.zeros_like(each[:1]), sums]).swapaxes(0, 1)
+    return turned, jnp.cross(along[..., None, :], turned.swapaxes(-1, -2)).swapaxes(-1, -2)
+
+
+def closing_rotations(
+    transitions: Transitions, motion: Motion, turned: Float[Array, "T Kp 3 3"]
+) -> Float[Array, "T 3"]:
     """Return the closure error of each transition as a rotation vector, rad, body axes.
 
     Parameters
     ----------
     transitions : the recorded motion between poses.
     motion : all nodes after all kinematic effects; its mounting is the attitude of each pose.
-    rate : mean rate of every step, rad/s, body axes.
+    turned : products of the rotations of each transition, as of `turned_since_start`.
     """
-    turned = jax.vmap(compose)(motion.base, motion.mounting)
-    count, steps = transitions.step.shape
-    rotation = rate.reshape(count, steps, 3) * transitions.step[..., None] + transitions.coning
-    carried = _product(jax.vmap(jax.vmap(exponential))(rotation))
+    attitude = jax.vmap(compose)(motion.base, motion.mounting)
     elapsed = transitions.step.sum(axis=1)
     earth = jax.vmap(exponential)(-take(motion.earth_rate, transitions.start) * elapsed[:, None])
-    reached = jax.vmap(compose)(jax.vmap(compose)(earth, take(turned, transitions.start)), carried)
-    expected = take(turned, transitions.stop)
+    reached = jax.vmap(compose)(jax.vmap(compose)(earth, take(attitude, transitions.start)), turned[:, -1])
+    expected = take(attitude, transitions.stop)
     return jax.vmap(lambda a, b: small_rotation(compose(a.T, b)))(expected, reached)
 
 
-def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -> dict[str, Array]:
-    """Return rate and force in body axes, kind → (T·K, 3), that reproduce the recorded outputs."""
+@eqx.filter_custom_jvp
+def _inverted(values: Float[Array, " V"], *, transitions: Transitions, channels: dict[str, Channels]) -> Array:
+    """Return rate and force in body axes, (T·K, 3·kinds) in the order of the readings, that reproduce the outputs."""
+    zero = jnp.zeros((transitions.step.size, 3 * len(transitions.readings)))
+    return jax.lax.fori_loop(
+        0, _ROUNDS, lambda _, found: found + _correction(transitions, channels, found, values), zero
+    )
 
-    def refine(_: Array, found: dict[str, Array]) -> dict[str, Array]:
-        predicted = _readout(transitions, channels, found, values)
-        misfit = {
-            kind: (read - predicted[kind]) / channels[kind].scale[None, :]
-            for kind, read in transitions.readings.items()
-        }
-        return {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
 
-    zero: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
-    return jax.lax.fori_loop(0, _ROUNDS, refine, zero)
+@_inverted.def_jvp
+def _inverted_slope(primals, tangents, *, transitions: Transitions, channels: dict[str, Channels]):
+    """Return the inverse and its derivative by the implicit function theorem.
+
+    With c(x, v) the correction of inputs x, which vanishes at the inverse, dx = (−∂c/∂x)⁻¹ ∂c/∂v dv: one derivative of
+    the readout in place of one for each round.  −∂c/∂x is the identity but for the errors of the unit, a matrix for
+    each step, and its inverse a series with as many terms as the inverse has rounds.
+    """
+    (values,), (direction,) = primals, tangents
+    found = _inverted(values, transitions=transitions, channels=channels)
+    if direction is None:
+        return found, None
+    still = jax.lax.stop_gradient(found)
+
+    def left(unit: Array) -> Array:
+        """Return (1 + ∂c/∂x) of a unit vector, the same in all steps."""
+        along = jnp.broadcast_to(unit, still.shape)
+        return along + jax.jvp(lambda x: _correction(transitions, channels, x, values), (still,), (along,))[1]
+
+    error = jax.vmap(left, out_axes=2)(jnp.eye(still.shape[1]))
+    moved = jax.jvp(lambda v: _correction(transitions, channels, still, v), (values,), (direction,))[1]
+    slope = moved
+    for _ in range(_ROUNDS):
+        slope = moved + jnp.einsum("nij,nj->ni", error, slope)
+    return found, slope
+
+
+def _correction(transitions: Transitions, channels: dict[str, Channels], found: Array, values) -> Array:
+    """Return what the outputs recorded beyond those of rates and forces `found`, inverted by the nominal axes."""
+    kinds = list(transitions.readings)
+    parts = dict(zip(kinds, jnp.split(found, len(kinds), axis=1), strict=True))
+    predicted = _readout(transitions, channels, parts, values)
+    misfit = {kind: (transitions.readings[kind] - predicted[kind]) / channels[kind].scale[None, :] for kind in kinds}
+    return jnp.concatenate([misfit[kind] @ transitions.inverse[kind].T for kind in kinds], axis=1)
 
 
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):
@@ -194,17 +265,8 @@ def _no_motion(count: int) -> Motion:
     return Motion(eye, eye, zero, zero, zero, still, still, still, still)
 
 
-def _product(rotations: Float[Array, "T K 3 3"]) -> Float[Array, "T 3 3"]:
-    """Return the ordered product over K, pairwise."""
-    while rotations.shape[1] > 1:
-        if rotations.shape[1] % 2:
-            last = jnp.broadcast_to(jnp.eye(3), (len(rotations), 1, 3, 3))
-            rotations = jnp.concatenate([rotations, last], axis=1)
-        rotations = jax.vmap(jax.vmap(compose))(rotations[:, ::2], rotations[:, 1::2])
-    return rotations[:, 0]
-
-
 # Fixed-point rounds; each shrinks the error of the null by the size of the calibration errors: 1 % to the fourth.
+_NULL_ROUNDS = 4
 STEPS_PER_TURN = 96
 
 
@@ -306,7 +368,7 @@ def servo_angles(
             moving = replace(stands, table_angle=angle, table_rate=rate)
             return rate - _output(servos, channels, moving, ambient, values) / servos.gain
 
-        return servos.seconds * jax.lax.fori_loop(0, _ROUNDS, refine, jnp.zeros_like(angle))
+        return servos.seconds * jax.lax.fori_loop(0, _NULL_ROUNDS, refine, jnp.zeros_like(angle))
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(turning),

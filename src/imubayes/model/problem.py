@@ -33,7 +33,14 @@ from imubayes.foundations.arrays import (
 )
 from imubayes.foundations.signal_path_state import Nodes, SignalPath
 from imubayes.model.carried_motion import CarriedInstants, carried_motion
-from imubayes.model.integrated_outputs import Servos, Transitions, closing_rotations, inverted_rates, servo_angles
+from imubayes.model.integrated_outputs import (
+    Servos,
+    Transitions,
+    closing_rotations,
+    inverted_rates,
+    servo_angles,
+    turned_since_start,
+)
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.parameter_priors import HyperCorrelation
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
@@ -282,21 +289,19 @@ def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
 
 def signal_path(problem: Problem, values: Float[Array, " V"]) -> SignalPath:
     """Return the signal path at every node, for parameters in SI and nulls."""
-    return _signal_path(problem, values, _rates(problem, values))
+    return _signal_path(problem, values)[0]
 
 
-def _rates(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "TK 3"] | None:
-    """Return the rates of the steps between poses; None where there are none."""
-    transitions = problem.transitions
-    return None if transitions is None else inverted_rates(transitions, problem.channels, values)
-
-
-def _signal_path(problem: Problem, values: Float[Array, " V"], rate: Float[Array, "TK 3"] | None) -> SignalPath:
-    nodes = problem.nodes
-    if problem.carried is not None and problem.transitions is not None and rate is not None:
-        hand = carried_motion(problem.transitions, problem.carried, rate)
-        nodes = replace(nodes, hand=hand)
-    return propagate(problem.layers, initial_path(nodes), values)
+def _signal_path(problem: Problem, values: Float[Array, " V"]) -> tuple[SignalPath, Float[Array, "T Kp 3 3"] | None]:
+    """Return the signal path at every node, and the rotations between poses; None if there are none."""
+    nodes, transitions = problem.nodes, problem.transitions
+    if transitions is None:
+        return propagate(problem.layers, initial_path(nodes), values), None
+    rate = inverted_rates(transitions, problem.channels, values)
+    turned = turned_since_start(transitions, rate)
+    if problem.carried is not None:
+        nodes = replace(nodes, hand=carried_motion(transitions, problem.carried, rate, turned))
+    return propagate(problem.layers, initial_path(nodes), values), turned
 
 
 def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
@@ -308,16 +313,15 @@ def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
 @jax.jit
 def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
     """Return the prediction from parameters in SI and nulls."""
-    rate = _rates(problem, values)
-    path = _signal_path(problem, values, rate)
+    path, turned = _signal_path(problem, values)
     outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     if problem.servos is not None:
         angles = servo_angles(problem.servos, problem.layers, problem.nodes, problem.channels, values)
         outputs.append(jnp.degrees(angles).reshape(-1))
     predicted = take(jnp.concatenate(outputs), problem.observations.readout)
-    if problem.transitions is None or rate is None:
+    if problem.transitions is None or turned is None:
         return predicted
-    closing = closing_rotations(problem.transitions, path.motion, rate)
+    closing = closing_rotations(problem.transitions, path.motion, turned)
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
