@@ -70,11 +70,12 @@ def standard_uncertainties(
     moments = linear_moments(part, problem, part.stretched(problem, fit.h, gradient), scales)
     linear = part.unbent(posterior.points[:, :size])[0] @ gradient.T
     entries, least = {line.name: line for line in lines}, least_effective(lines)
+    variances = map(KnownVariance, moments.total.tolist(), moments.spread.tolist())
     found = {}
-    for place, name in enumerate(names):
-        draws, of_linear = known.draws[name], KnownVariance(float(moments.total[place]), float(moments.spread[place]))
+    for name, along, of_linear in zip(names, linear.T, variances, strict=True):
+        draws = known.draws[name]
         effective = effective_size(entries.get(name), draws, least)
-        found[name] = math.sqrt(variance_of(draws, linear[:, place], of_linear, effective).value)
+        found[name] = math.sqrt(variance_of(draws, along, of_linear, effective).value)
     return found
 
 
