@@ -36,6 +36,14 @@ def by_hand(tmp_path_factory) -> tuple[Path, str]:
     return folder, said.getvalue()
 
 
+def test_a_recording_in_place_of_the_folder_is_named(tmp_path, capsys):
+    log = tmp_path / "unit.csv"
+    log.write_text("time_s,ax,ay,az\n")
+    assert run(["new", str(log), str(tmp_path / "desk")]) == 2
+    assert f"do:      imubayes new FOLDER {log}" in capsys.readouterr().err
+    assert not (tmp_path / "desk").exists()
+
+
 def test_a_recording_becomes_campaign_and_model(by_hand):
     folder, said = by_hand
     campaign = imubayes.load_campaign(folder)

@@ -81,6 +81,10 @@ def new(
     ['campaign.toml', 'model.toml', 'runs']
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise input_error(
+            f"'{folder}' is a file", "folder to write", "a folder, then the recordings", f"imubayes new FOLDER {folder}"
+        )
     model = folder / MODEL_FILE
     with progress_of(progress) as tell:
         if recordings:
