@@ -193,7 +193,7 @@ def test_one_run_alone_has_no_standard_error():
 
 
 def test_what_stands_in_the_model_is_not_added_again(first):
-    with pytest.raises(InputError, match="is listed twice"):
+    with pytest.raises(InputError, match="already contains the effect"):
         extend(first.fit, ["white_noise"])
 
 
