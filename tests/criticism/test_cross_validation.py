@@ -244,7 +244,7 @@ def test_an_effect_that_does_not_exist_is_refused(first, tmp_path):
 
 
 def test_no_result_is_overwritten(place, first, second):
-    with pytest.raises(InputError, match="holds a result already"):
+    with pytest.raises(InputError, match="already contains a result"):
         add(first, [LACKING], place / "second")
 
 

@@ -141,7 +141,7 @@ def test_what_rests_on_a_prior_is_said_first_unless_a_warning_is(plain):
     resting = plain.model_copy(update={"prior_scatter": (SCATTER,)})
     first = report_text(summary_report(resting), width=400).splitlines()[0]
     assert first.startswith("run_scatter.tau[ax] depends on its prior (2 % from the data)")
-    assert f"{GAIN} depend on it" in first
+    assert f"so do the intervals of {GAIN}" in first
     flawed = resting.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
     text = report_text(summary_report(flawed), width=400)
     assert text.startswith("DO NOT TRUST")
