@@ -106,6 +106,10 @@ HEADER = 1
 CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "no campaign file": (remove("campaign.toml"), "no file 'campaign.toml'", "campaign.toml", "a folder with campaign.toml"),
     "broken toml": (toml("height_m = 100.0", "height_m = = 1"), "not valid TOML", r"campaign\.toml:6", "key = value"),
+    "open toml": (
+        lambda f: (f / "campaign.toml").write_text("rates = [", encoding="utf-8"),
+        "not valid TOML", r"campaign\.toml, at its end", "key",
+    ),
     "key twice": (toml("height_m = 100.0", "height_m = 1.0\nheight_m = 2.0"), "not valid TOML", r"campaign\.toml:7", "key"),
     "not utf-8": (lambda f: (f / "campaign.toml").write_bytes(b"name = \xff"), "not UTF-8", "campaign.toml", "UTF-8"),
     "other format": (toml("format = 1", "format = 7"), "format = 7", r"campaign\.toml:1, format", "1"),

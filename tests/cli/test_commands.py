@@ -49,6 +49,19 @@ def replaced(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new, 1))
 
 
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("check",), "the argument CAMPAIGN of 'check' is missing"),
+        (("add", "gyro_bias"), "the option --to of 'add' is missing"),
+    ],
+)
+def test_what_a_command_line_lacks_is_named_with_its_command(capsys, words, what):
+    told = refused(capsys, *words)
+    assert f"error: {what}" in told
+    assert f"imubayes {words[0]} --help" in told
+
+
 CAMPAIGN_FAULTS = {
     "missing run file": ('file = "runs/ramp-1g.csv"', 'file = "runs/none.csv"', "none.csv"),
     "unknown procedure": ('procedure = "thermal_ramp"', 'procedure = "thermal_ram"', "thermal_ramp"),

@@ -193,7 +193,7 @@ def test_one_run_alone_has_no_standard_error():
 
 
 def test_what_stands_in_the_model_is_not_added_again(first):
-    with pytest.raises(InputError, match="is listed twice"):
+    with pytest.raises(InputError, match="already contains the effect"):
         extend(first.fit, ["white_noise"])
 
 
@@ -244,7 +244,7 @@ def test_an_effect_that_does_not_exist_is_refused(first, tmp_path):
 
 
 def test_no_result_is_overwritten(place, first, second):
-    with pytest.raises(InputError, match="holds a result already"):
+    with pytest.raises(InputError, match="already contains a result"):
         add(first, [LACKING], place / "second")
 
 

@@ -161,7 +161,7 @@ def test_what_hardly_matters_is_not_told():
     scale = at.model.layout.parameters[place].prior.sd() * 1e6
     # The diagnosis counts in the noise known beforehand, the posterior in the noise as fitted.
     assert abs(worst.in_sd) == pytest.approx(300.0 / (scale * sd(at, place)), rel=0.15)
-    assert "largest typical size, 300 µg, gravity_anomaly.anomaly[all] would bias accel_scale" in sentence(found)
+    assert "gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, would bias accel_scale" in sentence(found)
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ def test_history_and_removal_on_the_command_line(place, third, capsys):
     assert f"after removing {LACKING}" in page.read_text()
     taken = ["remove", LACKING, "--from", str(place / "second"), "--out", str(place / "removed")]
     for words, what in (
-        (taken, "holds a result already"),
+        (taken, "already contains a result"),
         ([*taken[:1], "converter_offset_drfit", *taken[2:-1], str(place / "no")], f"allowed: {LACKING}"),
         (
             [*taken[:1], "white_noise", *taken[2:-1], str(place / "no")],

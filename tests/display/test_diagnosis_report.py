@@ -161,7 +161,7 @@ def test_a_second_missing_effect_is_told_beside_the_first():
     assert "gyro_scale_quadratic is probably also missing on gx (probability 0.70)." in sentence(found)
     assert (
         "Predicted with gyro_scale_asymmetry, gyro_scale_quadratic added: Δχ² 120 at the noise known beforehand; "
-        "residual of gx 2.80 → 1.50 deg/h rms, with gyro_scale_asymmetry alone."
+        "residual of gx 2.80 → 1.50 deg/h rms (with gyro_scale_asymmetry alone added)."
     ) in shown.diagnosis_lines(found)
 
 
@@ -328,8 +328,8 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
     said = sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
     clause = (
-        "No interval includes it: at its largest typical size, 300 µg, gravity_anomaly.anomaly[all] would bias "
-        "accel_bias.bias[ax] by 663 times its sd."
+        "No interval includes it: gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, would bias "
+        "accel_bias.bias[ax] by 663 standard deviations."
     )
     assert (clause in said) == told
     assert "1 effect of the catalogue is undetectable in these runs." in said
@@ -340,9 +340,9 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     noisy = diagnosis("noise_model", noise=TAILS).model_copy(update={"contradicted": told, "recorded_noise": told})
     said = sentence(noisy)
     assert said.startswith(
-        "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times that of the raw samples of the same rows"
+        "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times the noise of the raw samples of the same rows"
     )
-    assert "correlated over longer times than a row. The same holds for white_noise.sigma[ay]. The noise is" in said
+    assert "correlation time longer than a row). The same holds for white_noise.sigma[ay]. The noise is" in said
     assert "times the known noise" not in said
     explained = sentence(diagnosis().model_copy(update={"contradicted": told}))
     assert explained.startswith("gyro_scale_asymmetry is missing")

@@ -194,7 +194,7 @@ def test_combinations_survive_the_file(summary):
     [
         (
             RunDesign(procedure="rate_table", table="rate", mounting="x-up", repeated=True, max_rate_deg_s=300.0),
-            "another run: rate_table on 'rate' in mounting 'x-up', rates to ±300 deg/s",
+            "one more rate_table on 'rate' in mounting 'x-up', rates to ±300 deg/s",
         ),
         (
             RunDesign(procedure="dividing_head", table="head", mounting="x-up", another_table=True, positions=12),

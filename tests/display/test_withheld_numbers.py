@@ -94,7 +94,7 @@ def test_the_row_says_why_and_the_terminal_which_command_gives_it():
     assert interval_text(line(0)) == "–"
     said = more_draws_text(report(0))
     assert "1 number" in said
-    assert "2.6 × the draws" in said
+    assert "2.6 times as many are needed" in said
     assert "--until-digits 1" in said
     assert more_draws_text(report(2)) == ""
     assert stated(line(1))[:2] == ("-22.4", "0.9")

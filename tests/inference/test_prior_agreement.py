@@ -38,7 +38,7 @@ def test_a_prior_that_pins_is_named_with_the_line_to_change():
     assert found.wider == "normal(0, 500000 ppm)"
     line = conflict_line(found)
     assert "The prior decides gyro_scale_factor.scale[gx]" in line
-    assert 'model file, [[effect]] name = "gyro_scale_factor", prior = { scale = "normal(0, 500000 ppm)" }' in line
+    assert 'model file: [[effect]] name = "gyro_scale_factor", prior = { scale = "normal(0, 500000 ppm)" }' in line
     sheet = conflict_sheet((found,))
     assert len(sheet.rows) == 1
     assert "[[effect]]" in sheet.note
@@ -51,7 +51,7 @@ def test_a_statement_of_the_campaign_is_changed_there():
     precision[place, place], z[place] = 1e4, 8.0
     (found,) = prior_conflicts(model, z, precision)
     assert (found.stated_in, found.decided_by) == ("campaign", "data")
-    assert "campaign.toml, a larger uncertainty of 'flat'" in conflict_line(found)
+    assert "state a larger uncertainty of 'flat' in campaign.toml" in conflict_line(found)
 
 
 def test_the_echo_of_another_parameter_is_no_conflict():

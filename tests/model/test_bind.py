@@ -83,9 +83,9 @@ def test_an_effect_of_a_kind_the_unit_lacks_is_refused():
 
 def test_an_effect_listed_twice_on_a_channel_is_refused():
     (problem,) = refused(effect("gyro_bias"), effect("gyro_bias", channels=("gx",)))
-    assert "is listed twice on gx" in problem.what
+    assert "already contains the effect 'gyro_bias' on gx" in problem.what
     (problem,) = refused(effect("mounting_error"), effect("mounting_error"))
-    assert "is listed twice" in problem.what
+    assert "already contains the effect 'mounting_error'" in problem.what
 
 
 def test_an_effect_may_be_listed_for_different_channels():

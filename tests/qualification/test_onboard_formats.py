@@ -286,7 +286,7 @@ def test_kalibr_reads_what_it_would_have_estimated(tmp_path):
         np.testing.assert_allclose(m_g @ c @ w + a @ c @ f + at(still.triads[1].bias, 25.0, 25.0), r_g, atol=1e-9)
     with pytest.raises(InputError, match="random walk of the gyros is not known"):
         kalibr_yaml(still, {**noise, "gyro": NoiseDensity(1e-4, None)}, 200.0, "/imu0")
-    with pytest.raises(InputError, match="rate of the samples"):
+    with pytest.raises(InputError, match="sampling rate"):
         write_constants(still, "kalibr", tmp_path / "x", ExportOptions(noise=noise))
 
 

@@ -71,7 +71,7 @@ def test_gaps_and_jitter_are_said(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     keep = (np.arange(len(EVEN)) < 700) | (np.arange(len(EVEN)) >= 741)
     table, notes = read(tmp_path, EVEN, keep=keep)
-    assert "1 gaps, the longest of 0.42 s: 41 samples are missing" in notes
+    assert "1 gap, the longest of 0.42 s: 41 samples missing" in notes
     assert np.diff(table["time_s"]).max() == pytest.approx(0.42)
     late = EVEN + rng.uniform(0, 4e-3, len(EVEN))
     _, notes = read(tmp_path, late)

@@ -181,12 +181,14 @@ def _text(file: Path) -> str:
 
 def _syntax_error(file: Path, message: str) -> InputError:
     place = _PLACE.search(message)
-    line = f":{place[1]}" if place and place[1] else ""
+    line = f":{place[1]}" if place and place[1] else ", at its end" if place else ""
     return input_error(
         f"the file is not valid TOML: {_PLACE.sub('', message)}",
         f"{file}{line}",
         'key = value, with text in "quotes" and tables as [name] or [[name]]',
-        "correct the syntax of this line",
+        "complete what is open there, such as a bracket or quotation marks"
+        if place and not place[1]
+        else "correct the syntax of this line",
     )
 
 

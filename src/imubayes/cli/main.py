@@ -155,9 +155,15 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     words = [word for word in (getattr(error, "unused_tokens", None) or []) if isinstance(word, str)]
     known = words[0] if words else ""
     allowed = closest_first(known, names) if isinstance(error, cyclopts.UnknownCommandError) else "see --help"
-    return Issue(
-        str(error).strip().splitlines()[0], "command line", allowed, "imubayes COMMAND --help shows an example"
-    )
+    command = " ".join(error.command_chain or ("COMMAND",))
+    what = str(error).strip().splitlines()[0]
+    argument = error.argument
+    if isinstance(error, cyclopts.MissingArgumentError) and argument is not None and error.keyword is None:
+        # The library calls a positional argument by the option of the same name.
+        positional = argument.field_info.is_positional
+        name = argument.name.lstrip("-").upper() if positional else argument.name
+        what = f"the {'argument' if positional else 'option'} {name} of '{command}' is missing"
+    return Issue(what, "command line", allowed, f"imubayes {command} --help shows an example")
 
 
 def _issue_of(error: Exception) -> Issue:

@@ -87,7 +87,7 @@ def print_effect(effect: str) -> None:
             console.print(f"default prior of {name} for a coarser unit: {wider}", highlight=False)
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
-    console.print(f"\nneeds: {', '.join(member.needs) or 'nothing special'}", highlight=False)
+    console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
     console.print(f"one value per: {', '.join(member.per)}", highlight=False)
     if member.excludes:
         console.print(f"not together with: {', '.join(member.excludes)}", highlight=False)

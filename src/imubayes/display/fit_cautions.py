@@ -66,7 +66,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     where = "between runs" if own[0].between_runs else "from row to row"
     meaning = f"this scatter {where} absorbs something that the model lacks"
     if own[0].source == "samples":
-        meaning += ", an effect or noise that is correlated over longer times than a row"
+        meaning += " (an effect, or noise with a correlation time longer than a row)"
     elif not any(each.excessive and each.source == "sisters" for each in own):
         meaning += ", or the prior is too narrow for this unit"
     more = f". The same holds for {listed(others, _MOST_NAMED)}" if others else ""
@@ -75,7 +75,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
 
 def _factor(each: NoiseComparison) -> str:
     if each.source == "samples":
-        return f"{noise_ratio(each)} times that of the raw samples of the same rows"
+        return f"{noise_ratio(each)} times the noise of the raw samples of the same rows"
     if each.source == "sisters":
         # Not the scales are compared: that of a sister may be zero.
         by = "means of their runs" if each.between_runs else "scatter of their rows"
@@ -234,7 +234,7 @@ def _gravity_text(summary: Summary) -> str:
     if not scales or whole <= _MATTERS * own:
         return ""
     own, whole = (significant(each, 2) for each in (own, whole))
-    return f" If {name} is determined from gravity, its standard uncertainty then rises from {own} ppm to {whole} ppm."
+    return f" If gravity determines {name}, its standard uncertainty there is {whole} ppm instead of {own} ppm."
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
@@ -265,8 +265,8 @@ def _rests_on_prior(found: PriorScatter) -> str:
     names = ", ".join(found.parameters[:_MOST_NAMED])
     more = " and others" if len(found.parameters) > _MOST_NAMED else ""
     return (
-        f"{found.scale} is known mostly from its prior ({percent(found.from_data)} from the data), and the "
-        f"intervals of {names}{more} depend on it: the sd of {found.parameters[0]} is "
+        f"{found.scale} depends on its prior ({percent(found.from_data)} from the data), and so do the "
+        f"intervals of {names}{more}: the sd of {found.parameters[0]} is "
         f"{significant(found.factor)} times as large at the upper end of that prior as at the lower end. More runs, or "
         "a prior from earlier units, would determine it."
     )
@@ -353,9 +353,9 @@ def remedy(conflict: PriorConflict) -> str:
     """Return which line of which file to change so that the data decide."""
     if conflict.stated_in == "campaign":
         owner = QuantityName.of(conflict.name).label
-        return f"If the data are right: campaign.toml, a larger uncertainty of '{owner}'."
+        return f"If the data are right, state a larger uncertainty of '{owner}' in campaign.toml."
     wider = conflict.wider or "a wider prior"
     return (
-        f'If the data are right: model file, [[effect]] name = "{conflict.effect}", '
+        f'If the data are right, widen the prior in the model file: [[effect]] name = "{conflict.effect}", '
         f'prior = {{ {conflict.parameter} = "{wider}" }}.'
     )

@@ -24,7 +24,7 @@ def run_design_text(design: RunDesign) -> str:
         place += f" on another table than '{design.table}'" if design.another_table else f" on '{design.table}'"
     if design.mounting is not None:
         place += f" in mounting '{design.mounting}'"
-    return ("another run: " if design.repeated else "") + ", ".join([place, *_varied(design)])
+    return ("one more " if design.repeated else "") + ", ".join([place, *_varied(design)])
 
 
 def _varied(design: RunDesign) -> Iterator[str]:

@@ -77,8 +77,8 @@ def weak_lines(summary: Summary) -> tuple[str, ...]:
     said = [f"{quantities.MARK} Not determined (less than {least} from the data): {listed(loose)}."] * bool(loose)
     said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
     sums = len(summary.combinations)
-    determined = f" Determined combinations of the same parameters: {sums}." if sums else ""
-    said += [f"Weakly determined combinations: {weak}.{determined}"] * bool(weak)
+    determined = f"; determined combinations: {sums}" if sums else ""
+    said += [f"Weakly determined combinations of parameters: {weak}{determined}."] * bool(weak)
     if summary.next_runs:
         first = summary.next_runs[0]
         said.append(

@@ -204,7 +204,7 @@ class RotationCentre(PlaceEffect):
     per = ("run",)
     kinds = ("accelerometer",)
     needs = ("carried",)
-    confused_with = "lever_arm if the unit sits in one way alone"
+    confused_with = "lever_arm if all runs have the same mounting"
     reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
     x: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body x")
     y: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body y")

@@ -345,8 +345,8 @@ class ThermalHysteresisScale(TemperaturePlay):
 class ScaleAsymmetry(Sensor, SignalEffect):
     """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x.
 
-    x is the input along the true axis. With the input along the nominal axis, the formula would have no derivative at a
-    mounting error of 0.
+    x is the input along the true axis. Along the nominal axis, x is 0 on an axis at right angles to the input, and |x|
+    has no derivative there.
     """
 
     order = Order.INPUT

@@ -153,11 +153,10 @@ def _new_runs(known: Campaign, campaign: Campaign) -> list[Run]:
     if new:
         return new
     raise input_error(
-        f"the fit contains all runs of '{campaign.name}'",
+        f"all runs of '{campaign.name}' are in the fit already",
         campaign.folder or campaign.name,
         "a campaign with runs that the fit does not contain",
-        "name a campaign with other runs, or leave runs out of the fit; `imubayes history` compares models of the "
-        "same runs",
+        "name a campaign with other runs, or a result of one; `imubayes history` compares models of the same runs",
     )
 
 

@@ -459,9 +459,9 @@ def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:
         excluded = other.name in effect.effect_class.excludes or effect.name in other.effect_class.excludes
         if (shared or whole_unit) and (same or excluded):
             pair = f"'{effect.name}' and '{other.name}' do not go together"
-            what = f"the effect '{effect.name}' is listed twice" if same else pair
+            what = f"the model already contains the effect '{effect.name}'" if same else pair
             on = f" on {', '.join(shared)}" if shared else ""
-            remedy = f"keep one of them, or give each its own 'channels'; the other one: {other.spec.where}"
+            remedy = f"keep one of the two, or give each its own 'channels'; the other is {other.spec.where}"
             yield Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy)
 
 

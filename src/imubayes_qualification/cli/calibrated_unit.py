@@ -100,7 +100,7 @@ def _along_axes(
 
 
 def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> None:
-    """Write rate and specific force of the carrier, without the measured rotation of the table, and a picture.
+    """Subtract the measured rotation of the table: write rate and specific force of the carrier, and a picture.
 
     Example: imubayes carrier data/rotation-modulation pyramid-forward --out carrier.csv
 
@@ -210,7 +210,7 @@ def mission(
     as_json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Compute the navigation errors that a calibration leaves; exact alignment, body axes forward, right, down.
+    """Compute the navigation errors due to the uncertainty of a calibration.
 
     Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
 

@@ -4,7 +4,7 @@ from imubayes.cli.session import Json, progress, show, start_jax
 
 
 def selftest(as_json: Json = False) -> int:
-    """Compute published values, and a campaign whose answer is known by construction: for the records of a laboratory.
+    """Verify the installation: compute published values, and a campaign whose answer is known by construction.
 
     Allan deviations (NIST SP 1065), propagation (JCGM 101), conformity (JCGM 106), sampling (GUM H.3) and a joint fit.
     The exit status is 1 if a value differs.

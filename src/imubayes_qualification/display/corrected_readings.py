@@ -79,7 +79,7 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
     tally = found.tally
     lines = [
         f"{counted(tally.rows, 'row')}: {solved}, in body axes.",
-        "The systematic uncertainty is the same for all rows; the random one averages over rows.",
+        "The systematic uncertainty is the same for all rows; the random one averages out over rows.",
     ]
     for kind, words in _INPUTS.items():
         if kind not in found.kinds and (names := [channel.name for channel in found.lacking if channel.kind == kind]):

@@ -397,7 +397,7 @@ def navigation_impact(
         errors=tuple(errors),
         sources=_alone(drivers, sensitivity[:, :own], noise if rate_hz else None),
         not_in=(*(each.effect for each in constants.unexpressed), *constants.slow_noise,
-                *(() if rate_hz else ("white noise: the rate of the samples is not stated",))),
+                *(() if rate_hz else ("white noise (the sampling rate is not stated)",))),
         diagnosed=hidden is not None,
         not_shown=_not_shown(effects, sensitivity[:, own:]),
         not_propagated=hidden.left if hidden is not None else (),

@@ -8,7 +8,7 @@ from imubayes_recordings.cli.noise import noise
 COMMANDS = (
     Command(
         "imubayes_recordings.cli.convert:new", "Data", -2, "new",
-        "Begin: write a commented campaign of a recording, and a model with the effects that its runs can "
+        "Begin: write a commented campaign from a recording, and a model with the effects that its runs can "
         "determine.\n\n"
         "Example: imubayes new campaigns/desk imu.csv --gravity-m-s2 9.81",
     ),
@@ -20,7 +20,7 @@ COMMANDS = (
     ),
     Command(
         "imubayes_recordings.cli.capture:capture", "Data", -0.5, "capture",
-        "Record a unit turned by hand: hold, enough, turn to …, until the rests determine the requested quantities.\n\n"
+        "Record a unit turned by hand, with instructions, until the rests determine the requested quantities.\n\n"
         "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
         "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
     ),

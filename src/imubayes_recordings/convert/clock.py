@@ -299,7 +299,8 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
     notes = []
     if gaps.any():
         missing = int(np.sum(np.round(step[gaps] / median) - 1))
-        notes.append(f"{int(gaps.sum())} gaps, the longest of {step.max():.3g} s: {missing} samples are missing")
+        lost = f"{counted(missing, 'sample')} missing"
+        notes.append(f"{counted(int(gaps.sum()), 'gap')}, the longest of {step.max():.3g} s: {lost}")
     jitter = float(np.std(step[~gaps])) / median
     if options.clock == "even":
         even = _even(time, gaps)

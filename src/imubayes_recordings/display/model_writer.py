@@ -152,7 +152,7 @@ def _declared(name: str):
 def _left_out(proposal: EffectProposal) -> Iterator[str]:
     if proposal.undetermined:
         yield ""
-        yield "# These runs show the following effects, but do not determine them beside those above:"
+        yield "# These runs respond to the following effects as well, but do not determine them:"
         for name, share in proposal.undetermined.items():
             most = f"at most {percent(share)}" if share >= 0.01 else "less than 1 %"
             yield f"#   {name}: {most} of the information on each coefficient comes from the runs"

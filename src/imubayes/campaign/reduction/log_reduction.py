@@ -172,7 +172,7 @@ def _spans_of(
         return Detected(followed_spans(blocks)), how
     if reduction is Reduction.BLOCKS:
         spans, seconds = block_spans(blocks)
-        return Detected(spans), f"over blocks of {seconds:.4g} s"
+        return Detected(spans), f"over blocks of up to {seconds:.4g} s"
     by_temperature = reduction is Reduction.BINNED
     at_rest = by_temperature or reduction is Reduction.AT_REST
     detected = constant_spans(blocks, source.layout.channels, by_temperature, at_rest, bench)

@@ -250,8 +250,9 @@ def leading_sheets(found: Diagnosis) -> list[Sheet]:
 
 def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
-    lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
+    lists = {"ranked effect": found.ranking, "outlier": found.outliers}
     each = [counted(len(lines), name) for name, lines in lists.items() if lines]
+    each += [f"{len(found.undetectable)} undetectable"] * bool(found.undetectable)
     return [f"All tables ({', '.join(each)}): {command_line('diagnose', found.result, '--verbose')}"] if each else []
 
 
@@ -286,7 +287,7 @@ def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
     command, other = next_command(found), found.all_that_fit
     # The only command of the loop that takes minutes.
     if command.startswith("imubayes plant"):
-        command += "  # minutes: would these runs have shown an effect?"
+        command += "  # takes minutes; tests whether these runs would have shown an effect"
     lines = [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
     if other is not None:
         whole = add_command(other.effects, other.channels, found.result, f"{found.result}-all")
@@ -337,7 +338,7 @@ def _prediction(found: Diagnosis) -> str:
     told = f"Predicted with {added} added: Δχ² {numbers.significant(together)} at the noise known beforehand"
     if rms.after >= rms.before:  # one of several, whose coefficient is that beside the others
         return f"{told}."
-    alone = f", with {best.effects[0]} alone" if len(found.groups) > 1 else ""
+    alone = f" (with {best.effects[0]} alone added)" if len(found.groups) > 1 else ""
     before, after = (numbers.significant(each) for each in (rms.before, rms.after))
     return f"{told}; residual of {rms.channel} {before} → {after} {numbers.pretty(rms.unit)} rms{alone}."
 

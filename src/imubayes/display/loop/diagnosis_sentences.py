@@ -336,8 +336,8 @@ def bias_clause(bias: ParameterBias) -> str:
     """Return what an effect that the runs cannot show would do to the parameter that it biases most."""
     size = f"{significant(bias.size)} {pretty(bias.size_unit)}"
     return (
-        f"at its largest typical size, {size}, {bias.coefficient} would bias {bias.parameter} by "
-        f"{significant(abs(bias.in_sd))} times its sd"
+        f"{bias.coefficient} at its largest typical size, {size}, would bias {bias.parameter} by "
+        f"{significant(abs(bias.in_sd))} standard deviations"
     )
 
 

@@ -29,7 +29,7 @@ def kalibr_yaml(
         where a triad has not three channels, or the rate or a noise density is not known.
     """
     if not rate:
-        raise input_error("the rate of the samples is not known", _WHERE, "a rate in Hz", "give --rate-hz")
+        raise input_error("the sampling rate is not known", _WHERE, "a rate in Hz", "give --rate-hz")
     matrices = kalibr_matrices(*_triads(constants, noise))
     return [
         "# r_a = M f + b_a; r_g = M C_gyro_i w + A C_gyro_i f + b_g: from the truth to the reading, in the frame i.",

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from imubayes.display import figure_style as style
 from imubayes.display.layout import Report, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, significant
+from imubayes.foundations.covariates import CONDITIONS
 from imubayes_qualification.onboard.navigation_impact import ErrorSource, NavigationImpact
 
 _ROWS = 9
@@ -18,8 +19,9 @@ _CAPTION = (
     "of the variances along North and East (DRMS)."
 )
 _SIZE = (
-    "Every coefficient at the largest size that is met in practice and that the data do not contradict, less the part "
-    "that the fit absorbs. These are not standard uncertainties: no interval and no probability is claimed."
+    "Every coefficient is taken at the largest size that is met in practice and that the data do not contradict. The "
+    "part that the fit absorbs is subtracted. These are not standard uncertainties: no interval and no probability is "
+    "claimed."
 )
 _BARS = 8  # effects that the runs could not show, in the picture
 
@@ -41,12 +43,12 @@ def navigation_report(found: NavigationImpact) -> Report:
               significant(_ARCMIN * each.attitude_rad, 2))
         for each in found.sources
     ]  # fmt: skip
-    note = "Constants are correlated by the fit that they come from: squares of the sources need not add up."
+    note = "The constants are correlated: the squares of the sources need not add up to the square of the total."
     table = Sheet(
         "At the end, each source alone", ("source", "horizontal / m", "attitude / arcmin"), sources, note=note
     )
     lines = [f"Unit {found.serial or 'without a serial number'}, {found.mission}."]
-    left = [f"Not in these numbers: {listed(found.not_in)}."] if found.not_in else []
+    left = [f"These numbers do not include: {listed(found.not_in)}."] if found.not_in else []
     return Report(lines, [errors, table, *_not_shown(found)], [*left, *_not_propagated(found)])
 
 
@@ -74,7 +76,8 @@ def _not_propagated(found: NavigationImpact) -> Iterator[str]:
     left = []
     for needs in dict.fromkeys(each.needs for each in found.not_propagated):
         names = [each.effect for each in found.not_propagated if each.needs == needs]
-        why = f"needs {' and '.join(needs)}" if needs else "memory, a limit, a shape, or a lever arm"
+        words = (CONDITIONS.get(need, need) for need in needs)
+        why = f"needs {' and '.join(words)}" if needs else "memory, a threshold, a shape, or a lever arm"
         stated = needs and all(need.endswith("temperature") for need in needs)
         left.append(f"{listed(names)} ({why}{', see --temperature' if stated else ''})")
     if left:

@@ -185,8 +185,9 @@ def more_draws_text(report: record.QualificationReport) -> str:
     if not errors:
         return ""
     return (
-        f"note: too few draws for {counted(len(errors), 'number')}, withheld; {significant(needed + 0.05, 2)} × the "
-        "draws are needed: `imubayes fit … --until-digits 1` draws until none is withheld"
+        f"note: {counted(len(errors), 'number')} withheld, because there are too few draws; "
+        f"{significant(needed + 0.05, 2)} times as many are needed: `imubayes fit … --until-digits 1` draws until none "
+        "is withheld"
     )
 
 
