@@ -16,7 +16,7 @@ from polars.testing import assert_frame_equal
 from small_units import DAMAGE, MODEL, edit, make_units
 
 from imubayes.foundations.errors import InputError
-from imubayes.model import model_file
+from imubayes.model import trusted_files
 from imubayes.model.model_file import PriorCorrelation, read_carried_model, read_model
 from imubayes.results.folder_files import trust
 from imubayes_archive.unit_fits.batch_folder import BatchSettings, PartFiles, batch_key, sources_of, unread
@@ -241,7 +241,7 @@ prior = { sigma = "lognormal(1 noise, 0.5)" }
 def own(tmp_path, monkeypatch) -> Path:
     """A model with an effect file below it and noise priors beside its folder, of a user who trusts nothing yet."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "configuration"))
-    monkeypatch.setattr(model_file, "_ran", set())
+    monkeypatch.setattr(trusted_files, "_ran", set())
     model = tmp_path / "models" / "model.toml"
     (model.parent / "effects").mkdir(parents=True)
     (model.parent / "effects" / "mine.py").write_text(EFFECT)
@@ -289,7 +289,7 @@ def test_questions_asked_of_a_batch_with_an_effect_of_the_users_own(own, tmp_pat
     make_units(tmp_path / "units", 6)
     out, following = tmp_path / "out", tmp_path / "next" / "model.toml"
     assert said(tmp_path / "units", "--model", own, "--out", out)[0] == 0
-    monkeypatch.setattr(model_file, "_ran", set())  # as in another process
+    monkeypatch.setattr(trusted_files, "_ran", set())  # as in another process
     for words in (("diagnose", out), ("prior", out, "--out", following)):
         status, text = said(*words)
         assert (status, "'mine.py' is Python code that came along" in text) == (2, True)

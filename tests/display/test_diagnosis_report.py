@@ -339,9 +339,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     told = (comparison("ax", 53.0, 1e-300), comparison("ay", 2.14, 1e-40))
     noisy = diagnosis("noise_model", noise=TAILS).model_copy(update={"contradicted": told, "recorded_noise": told})
     said = sentence(noisy)
-    assert said.startswith(
-        "white_noise.sigma[ax] is 53.0 ± 2.7 times the noise of the raw samples of the same rows"
-    )
+    assert said.startswith("white_noise.sigma[ax] is 53.0 ± 2.7 times the noise of the raw samples of the same rows")
     assert "correlation time longer than a row). The same holds for white_noise.sigma[ay]. The noise is" in said
     assert "times the known noise" not in said
     explained = sentence(diagnosis().model_copy(update={"contradicted": told}))

@@ -75,8 +75,7 @@ def test_noise_that_contradicts_what_is_known_precedes_everything(plain):
     flawed = plain.model_copy(update={"noise_contradicted": (told,), "known_noise": known})
     text = " ".join(report_text(summary_report(flawed), width=400).split())
     assert text.startswith(
-        "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax] is 53.00 ± 0.90 times the noise of the raw "
-        "samples of the"
+        "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax] is 53.00 ± 0.90 times the noise of the raw samples of the"
     )
     assert "degrees of freedom at the noise as fitted, 810000.0 for 288 at the noise known beforehand. Fit" in text
     assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"

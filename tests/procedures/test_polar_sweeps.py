@@ -137,7 +137,7 @@ def test_the_advice_asks_for_what_is_missing_and_not_for_what_is_there():
         (said,) = [one.sentence for one in classical(campaign(order, drawn(1), 1)) if isinstance(one, Undetermined)]
         return said
 
-    assert "D_F, D_II, D_OO, D_SS apart" in advice(["O-Np", "O-Sp"])
+    assert "D_F, D_II, D_OO, D_SS are not separated from each other" in advice(["O-Np", "O-Sp"])
     assert "would determine" in advice(["O-Np", "O-Sp"])
     assert "no sweep separates them" in advice(["O-Np", "O-Sp", "I-Np"])
 

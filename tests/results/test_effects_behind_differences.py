@@ -61,4 +61,4 @@ def test_the_cause_is_named(cause):
         assert [name for name, _ in each.causes] == [cause]
         assert each.causes[0][1] == pytest.approx(each.difference, rel=0.1)
     assert max(abs(each.difference) for each in known) == pytest.approx(1000 * EXPECTED[cause], rel=0.1)
-    assert f"leaves {cause} out" in discrepancy_sheet(compared).note
+    assert f"neglects {cause}" in discrepancy_sheet(compared).note

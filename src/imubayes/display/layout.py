@@ -211,7 +211,7 @@ class _Width:
         prose = any(word.isalpha() and len(word) > 1 for text in texts for word in text.split())
         whole = longest if prose and not numbers else widest
         words = min(longest, _MOST_WORD) if place else min(widest, _LEAST_NAME)
-        values = max(words, _widest_value(texts)) if place else longest
+        values = max(words, _widest_value(texts) if place else longest)
         return cls(natural, max(whole, longest), values, words)
 
 

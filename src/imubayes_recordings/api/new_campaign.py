@@ -80,11 +80,7 @@ def new(
     >>> sorted(path.name for path in made.folder.iterdir())
     ['campaign.toml', 'model.toml', 'runs']
     """
-    folder = Path(folder)
-    if folder.is_file():
-        raise input_error(
-            f"'{folder}' is a file", "folder to write", "a folder, then the recordings", f"imubayes new FOLDER {folder}"
-        )
+    folder = _to_write(folder)
     model = folder / MODEL_FILE
     with progress_of(progress) as tell:
         if recordings:
@@ -112,6 +108,14 @@ def new(
         write_text(model, commented_model(campaign.name, proposal, len(campaign.runs)))
     notes = (*campaign.notes, *said, *(f"{run.name}: {note}" for run in campaign.runs for note in run.notes))
     return NewCampaign(folder, model, proposal, notes)
+
+
+def _to_write(folder: str | Path) -> Path:
+    folder = Path(folder)
+    if folder.is_file():
+        remedy = f"imubayes new FOLDER {folder}"
+        raise input_error(f"'{folder}' is a file", "folder to write", "a folder, then the recordings", remedy)
+    return folder
 
 
 def _graded(folder: Path, shown: ShownGrade, written: bool) -> tuple[str, ...]:
