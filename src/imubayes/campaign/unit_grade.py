@@ -27,8 +27,11 @@ def grade_of(campaign: Campaign, kind: str) -> Grade:
         return campaign.grade
     if kind not in LEAST_NOISE:
         return "tactical"
-    found = (_by_noise(campaign, each) for each in sorted(LEAST_NOISE, key=lambda each: each != kind))
-    return next((grade for grade in found if grade is not None), "tactical")
+    for each in sorted(LEAST_NOISE, key=lambda each: each != kind):
+        found = _by_noise(campaign, each)
+        if found is not None:
+            return found
+    return "tactical"
 
 
 def _by_noise(campaign: Campaign, kind: str) -> Grade | None:
