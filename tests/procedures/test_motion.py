@@ -268,6 +268,7 @@ def test_an_asymmetry_beyond_its_prior_contradicts_it() -> None:
     """The accelerometers and the closing rotations show it together: none of them alone."""
     found = diagnosed(0.03, "gyro_scale_asymmetry")
     assert found.verdict == "run_disagrees"
+    assert found.explanations is not None
     form = found.explanations.form
     assert form is not None
     assert form.name == "prior of gyro_scale_asymmetry"
