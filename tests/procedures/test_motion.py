@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 import imubayes
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.parameter_fit import linearise_once
 from imubayes.inference.posterior_mode import find_mode
@@ -250,3 +253,34 @@ def test_a_g_sensitivity_that_the_model_lacks_is_named(planted: float, seed: int
     assert found.verdict == verdict
     if planted:
         assert "gyro_g_sensitivity" in found.groups[0].effects
+
+
+def diagnosed(planted: float, *further: str) -> Diagnosis:
+    """Return the diagnosis of a unit that is waved for a minute, whose gyros have a scale factor asymmetry."""
+    errors = random_unit(np.random.default_rng(1), asymmetry=np.full(3, planted))
+    model = imubayes.bind(model_of(*further), campaign_of({"waved": waved(errors, 1, seconds=60.0)}, "slow_motion"))
+    mode = find_mode(model.problem, first_point(model.assembly), np.zeros(len(model.hyper_layout)))
+    return judge(Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged)))
+
+
+@pytest.mark.slow
+def test_an_asymmetry_beyond_its_prior_contradicts_it() -> None:
+    """The accelerometers and the closing rotations show it together: none of them alone."""
+    found = diagnosed(0.03, "gyro_scale_asymmetry")
+    assert found.verdict == "run_disagrees"
+    assert found.explanations is not None
+    form = found.explanations.form
+    assert form is not None
+    assert form.name == "prior of gyro_scale_asymmetry"
+
+
+@pytest.mark.slow
+def test_an_asymmetry_that_the_model_lacks_is_named() -> None:
+    found = diagnosed(0.03)
+    assert found.verdict == "missing_effect"
+    assert "gyro_scale_asymmetry" in found.groups[0].effects
+
+
+@pytest.mark.slow
+def test_a_complete_model_of_motion_is_adequate() -> None:
+    assert diagnosed(0.0).verdict == "adequate"

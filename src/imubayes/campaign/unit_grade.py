@@ -18,11 +18,26 @@ LEAST_NOISE: dict[str, tuple[float, float]] = {
 
 
 def grade_of(campaign: Campaign, kind: str) -> Grade:
-    """Return the grade of the channels of a kind; tactical where nothing is known of their noise."""
+    """Return the grade of the channels of a kind.
+
+    A kind whose noise is unknown, such as the gyros of a unit in motion, has the grade of the other kind: both are of
+    one unit.  It is tactical if nothing is known of either.
+    """
     if campaign.grade is not None:
         return campaign.grade
-    noise = [channel.noise / abs(channel.scale_si) for channel in campaign.of_kind(kind) if channel.noise is not None]
-    if kind not in LEAST_NOISE or not noise:
+    if kind not in LEAST_NOISE:
         return "tactical"
+    for each in sorted(LEAST_NOISE, key=lambda each: each != kind):
+        found = _by_noise(campaign, each)
+        if found is not None:
+            return found
+    return "tactical"
+
+
+def _by_noise(campaign: Campaign, kind: str) -> Grade | None:
+    """Return the grade by the noise of the channels of a kind; None if it is unknown."""
+    noise = [channel.noise / abs(channel.scale_si) for channel in campaign.of_kind(kind) if channel.noise is not None]
+    if not noise:
+        return None
     typical, (consumer, industrial) = float(np.median(noise)), LEAST_NOISE[kind]
     return "consumer" if typical >= consumer else "industrial" if typical >= industrial else "tactical"

@@ -6,7 +6,8 @@ noise of what lacks it.
 
 Which form to add to a hypothesis is decided by quick gains of all forms and wrong inputs beside it, its noise held.
 Forms of one channel and width are whitened, projected and decomposed together.  A form of several channels is first
-scored as if these were apart, and the best are scored exactly.
+scored as if these were apart, and the best are scored exactly.  The coefficients of a wrong input are the same on all
+channels: it is scored exactly at once, since none of the channels may determine them alone.
 """
 
 import math
@@ -18,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import visible
-from imubayes.criticism.evidence.free_forms import ChosenForm, FormColumns, FormHypothesis
+from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, Solved
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure, NoiseUnit
@@ -32,7 +33,7 @@ _AT_ONCE = 160
 
 @dataclass(frozen=True)
 class FormGrams:
-    """V (m, k, k) and u (m, k) of m forms on one channel, with their products with what takes part, (m, k, n)."""
+    """V (m, k, k) and u (m, k) of m forms on some channels, with their products with what takes part, (m, k, n)."""
 
     own: np.ndarray
     right: np.ndarray
@@ -47,6 +48,14 @@ class FormGrams:
         squares = np.where(told, squares, 0.0)[:, None, :]
         variance = np.square(amplitudes)[None, :, None]
         return 0.5 * np.sum(along * variance / (1 + variance * squares) - np.log1p(variance * squares), axis=2)
+
+    def of(self, places: Sequence[int]) -> "FormGrams":
+        """Return those of some forms."""
+        return FormGrams(self.own[places], self.right[places], self.across[places])
+
+    def plus(self, other: "FormGrams") -> "FormGrams":
+        """Return those of the same forms on these and further channels, with the same coefficients on all."""
+        return FormGrams(self.own + other.own, self.right + other.right, self.across + other.across)
 
 
 class FormScan:
@@ -64,43 +73,59 @@ class FormScan:
 
     def best(self, forms: Sequence[FormHypothesis]) -> list[tuple[float, ChosenForm]]:
         """Return forms with their gains against no form, prior probabilities included, the largest first."""
-        gains = self._gains(forms)
+        gains, wrong = self._gains_apart(forms), self._gains_of_wrong(forms)
         quick: list[tuple[float, ChosenForm]] = []
         for n, form in enumerate(forms):
+            if n in wrong:
+                quick.append(_likeliest(form, tuple(form.columns), wrong[n]))
+                continue
             parts = {k: gains[n, k] for k in form.columns}
             quick.append(_likeliest(form, tuple(parts), sum(parts.values(), np.zeros(len(form.amplitudes)))))
-            if len(parts) > 1 and form.wrong is None:
+            if len(parts) > 1:
                 quick += [_likeliest(form, (k,), part) for k, part in parts.items()]
         quick.sort(key=lambda each: -each[0])
-        exact = [(gain if len(form.channels) == 1 else self.exact(form), form) for gain, form in quick[:_AT_ONCE]]
+        exact = [(self.exact(form) if _is_apart(form) else gain, form) for gain, form in quick[:_AT_ONCE]]
         return sorted(exact, key=lambda each: -each[0])
 
-    def _gains(self, forms: Sequence[FormHypothesis]) -> dict[tuple[int, int], np.ndarray]:
-        """Return the gain of each form on each of its channels, (A,)."""
+    def _gains_apart(self, forms: Sequence[FormHypothesis]) -> dict[tuple[int, int], np.ndarray]:
+        """Return the gain of each form outside the catalogue on each of its channels, (A,)."""
+        chosen = [n for n, form in enumerate(forms) if form.wrong is None]
         found: dict[tuple[int, int], np.ndarray] = {}
         for k in self.of.unit_of:
-            alike: dict[tuple[int, int, tuple[float, ...]], list[int]] = {}
-            for n, form in enumerate(forms):
-                if k in form.columns:
-                    own = form.columns[k]
-                    alike.setdefault((id(own.every), own.width, form.amplitudes), []).append(n)
-            for (_, _, amplitudes), members in alike.items():
-                columns = [forms[n].columns[k] for n in members]
-                for place, gain in enumerate(self._gains_of(columns, k, amplitudes)):
-                    found[members[place], k] = gain
+            for members, grams in self._grams_of(forms, chosen, k):
+                gains = grams.gains(forms[members[0]].amplitudes)
+                found |= {(n, k): gain for n, gain in zip(members, gains, strict=True)}
         return found
 
-    def _gains_of(
-        self, columns: Sequence[FormColumns], channel: int, amplitudes: Sequence[float]
-    ) -> Iterator[np.ndarray]:
-        """Yield the gains of forms of one width on a channel; those of forms of single runs are found at once."""
-        every = columns[0].every
-        if every is not None:
-            yield from self._grams_of_runs(every, channel).gains(amplitudes)[[each.series for each in columns]]
-            return
-        for first in range(0, len(columns), _AT_ONCE):
-            some = [each.make() for each in columns[first : first + _AT_ONCE]]
-            yield from self.grams(some, channel).gains(amplitudes)
+    def _gains_of_wrong(self, forms: Sequence[FormHypothesis]) -> dict[int, np.ndarray]:
+        """Return the gain of each wrong input on all of its channels together, (A,): its coefficients are the same."""
+        chosen = [n for n, form in enumerate(forms) if form.wrong is not None]
+        whole: dict[int, FormGrams] = {}
+        for k in self.of.unit_of:
+            for members, grams in self._grams_of(forms, chosen, k):
+                for place, n in enumerate(members):
+                    one = grams.of([place])
+                    whole[n] = whole[n].plus(one) if n in whole else one
+        return {n: grams.gains(forms[n].amplitudes)[0] for n, grams in whole.items()}
+
+    def _grams_of(
+        self, forms: Sequence[FormHypothesis], chosen: Sequence[int], channel: int
+    ) -> Iterator[tuple[list[int], FormGrams]]:
+        """Yield the Gram matrices of chosen forms on a channel, those of one width and amplitudes together."""
+        alike: dict[tuple[int, int, tuple[float, ...]], list[int]] = {}
+        for n in chosen:
+            if channel in forms[n].columns:
+                own = forms[n].columns[channel]
+                alike.setdefault((id(own.every), own.width, forms[n].amplitudes), []).append(n)
+        for members in alike.values():
+            columns = [forms[n].columns[channel] for n in members]
+            every = columns[0].every
+            if every is not None:
+                yield members, self._grams_of_runs(every, channel).of([each.series for each in columns])
+                continue
+            for first in range(0, len(columns), _AT_ONCE):
+                some = [each.make() for each in columns[first : first + _AT_ONCE]]
+                yield members[first : first + _AT_ONCE], self.grams(some, channel)
 
     def _white(self, columns: np.ndarray, channel: int) -> np.ndarray:
         at = self.at
@@ -156,6 +181,11 @@ class FormScan:
         """Return the change of a whitened row by itself, (n,): what it does to later rows is left to the evaluation."""
         correlations = self.of.problem.rows[channel].correlations
         return correlations[self.of.noise(self.at.hypothesis, channel).size].gain if correlations else 1.0
+
+
+def _is_apart(form: ChosenForm) -> bool:
+    """Tell whether a form has coefficients of its own on each of several channels."""
+    return len(form.channels) > 1 and form.form.wrong is None
 
 
 def _likeliest(form: FormHypothesis, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:

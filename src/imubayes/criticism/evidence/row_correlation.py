@@ -7,7 +7,6 @@ channel change together: their ratios stay as fitted, and the common size has th
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from imubayes.model.bind import Model
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.noise_covariance import Series, SlowSeries, whitener_of
 from imubayes.model.problem import Problem
-from imubayes.noise.components import SeriesNoise, SlowNoise
+from imubayes.noise.components import RowSpan, SeriesNoise, SlowNoise
 from imubayes.parameters.declarations import Parameter, prior_values
 
 _FACTORS = tuple(2.0**k for k in range(1, -6, -1))
@@ -151,8 +150,9 @@ def _of_lanes(series: SlowSeries, entry: np.ndarray, place: np.ndarray) -> SlowS
     steps, columns = np.nonzero(lanes < len(entry))
     back = np.empty(len(entry), dtype=np.int32)
     back[lanes[steps, columns]] = steps * len(chosen) + columns
-    # What a row lasts is in the series already.
-    timeline = Timeline(cast(Any, None), lanes, back)
+    row = series.timeline.row
+    start, length, gap = (np.asarray(each)[entry] for each in (row.start, row.length, row.gap))
+    timeline = Timeline(RowSpan(start, length, gap, row.times), lanes, back)
     fields = (series.mean, series.over_gap, series.over_row, series.gain, series.variance)
     return SlowSeries(timeline, *(each[:, chosen] for each in fields))
 
