@@ -28,13 +28,6 @@ Grade = Literal["consumer", "industrial", "tactical", "navigation"]
 GRADES: tuple[Grade, ...] = get_args(Grade)
 
 
-def coarse_width(coarse: tuple[float, float] | None, grade: Grade) -> float | None:
-    """Return the width of `coarse` for a grade, in its unit; None if that of tactical and navigation grade applies."""
-    if coarse is None or grade not in ("industrial", "consumer"):
-        return None
-    return coarse[0 if grade == "industrial" else 1]
-
-
 def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grade: Grade) -> str:
     """Return the default prior of a parameter for a grade of unit, as written in a model file.
 
@@ -44,10 +37,9 @@ def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grad
     unit : of the widths.
     coarse : width (of a lognormal prior the median) for industrial and consumer grade; None if it is the same.
     """
-    found = coarse_width(coarse, grade)
-    if found is None:
+    if coarse is None or grade not in ("industrial", "consumer"):
         return prior
-    width = f"{found:g} {unit}"
+    width = f"{coarse[0 if grade == 'industrial' else 1]:g} {unit}"
     family, arguments = prior.rstrip(")").split("(", 1)
     if family == "normal":
         return f"normal(0, {width})"

@@ -163,7 +163,7 @@ def parameter_of(
         prior = parse_prior(spec.prior[field], declared.unit, gravity, where, units.si)
         _check_family(prior, field, declared, where, field in hyper_fields(effect_class))
     else:
-        usual = default_prior(declared, channel.kind if channel is not None else "", campaign)
+        usual = declared.prior_of(grade_of(campaign, channel.kind)) if channel is not None else declared.prior
         prior = parse_prior(usual, declared.unit, gravity, where, units.si)
         prior = _from_equipment(declared.equipment, label, campaign, prior)
         if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
@@ -172,7 +172,7 @@ def parameter_of(
     factor, of_scale = (to_si(declared.unit, gravity, where, own) for own in (units.si, as_scale))
     names = tuple(label.values()) or ("all",)
     output = _output_unit(effect_class, label, campaign)
-    low, high = (size * of_scale / factor for size in _typical(declared, channel, campaign))
+    low, high = (size * of_scale / factor for size in declared.typical)
     return Parameter(
         effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance, output, (low, high)
     )
@@ -192,15 +192,9 @@ def largest_typical(effect_class: EffectClass, campaign: Campaign, channel: str 
     gravity, known = campaign.site.gravity, _representative_channel(effect_class, {"channel": channel}, campaign)
     scale = 1.0 if known is None else _nominal_scale(known, gravity)
     return {
-        field: _typical(declared, known, campaign)[1]
-        * to_si(declared.unit, gravity, effect_class.name, _output_as_scale(scale))
+        field: declared.typical[1] * to_si(declared.unit, gravity, effect_class.name, _output_as_scale(scale))
         for field, declared in declared_parameters(effect_class).items()
     }
-
-
-def _typical(declared: Declared, channel: Channel | None, campaign: Campaign) -> tuple[float, float]:
-    """Return the smallest and the largest typical size of a parameter, in its unit, for the grade of a channel."""
-    return declared.typical_of(grade_of(campaign, channel.kind)) if channel is not None else declared.typical
 
 
 def _output_as_scale(scale: float) -> dict[str, float]:

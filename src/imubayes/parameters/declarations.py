@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Float, Int, namespace, on_host, take_last
-from imubayes.foundations.campaign_data import Grade, coarse_width, graded_prior
+from imubayes.foundations.campaign_data import Grade, graded_prior
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.units import with_output_unit
 from imubayes.parameters.priors import Prior
@@ -70,16 +70,6 @@ class Declared:
         """Return the default prior for a grade of unit, as written in a model file."""
         return graded_prior(self.prior, self.unit, self.coarse, grade)
 
-    def typical_of(self, grade: Grade) -> tuple[float, float]:
-        """Return the smallest and the largest magnitude met in practice in units of a grade, in `unit`.
-
-        The largest one of a coarser unit is the width of its default prior, if that is larger: the largest values of
-        data sheets.
-        """
-        least, largest = self.typical
-        width = coarse_width(self.coarse, grade)
-        return least, largest if width is None else max(largest, width)
-
 
 def parameter(
     unit: str,
@@ -100,8 +90,8 @@ def parameter(
     ----------
     unit : datasheet unit used in files, tables and reports.
     prior : default prior, as written in a model file.
-    typical : smallest and largest magnitude met in practice, in `unit`, in units of tactical or navigation grade; where
-        that is of the output, in `scale` instead of `output`, since channels differ in their output units.
+    typical : smallest and largest magnitude met in practice, in `unit`; where that is of the output, in `scale`
+        instead of `output`, since channels differ in their output units.
     meaning : a phrase that completes "this is …".
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
         width where the campaign states it, or empty.
