@@ -91,24 +91,6 @@ def test_sensors_of_unknown_noise_have_the_grade_of_the_others(kinds, grades):
     assert (grade_of(unknown, "gyro"), grade_of(unknown, "accelerometer")) == grades
 
 
-@pytest.mark.parametrize(("name", "declared"), COARSE.items(), ids=COARSE)
-def test_typical_sizes_of_a_coarser_unit_reach_the_width_of_its_prior(name, declared):
-    """A missing effect is looked for up to these: of a consumer unit they were those of a tactical one."""
-    for grade, largest in zip(("industrial", "consumer"), declared.coarse, strict=True):
-        assert declared.typical_of(grade) == (declared.typical[0], max(declared.typical[1], largest))
-    assert declared.typical_of("tactical") == declared.typical_of("navigation") == declared.typical
-
-
-def test_a_coefficient_has_the_typical_sizes_of_the_grade():
-    plain = with_noise(0.008, 0.1)
-    for among, largest in (
-        (plain, 300.0),
-        (with_noise(0.1, 0.1), 3000.0),
-        (replace(plain, grade="industrial"), 1000.0),
-    ):
-        assert bind(spec("gyro_scale_asymmetry"), among).layout.parameters[0].typical[1] == pytest.approx(largest)
-
-
 def test_a_default_prior_is_that_of_the_grade_and_a_written_one_stands():
     def sd(among: Campaign, name: str = "gyro_scale_cubic", **prior: str) -> float:
         model = spec(name)
