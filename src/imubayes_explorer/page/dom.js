@@ -80,10 +80,13 @@ export function probability(value) {
   return value >= 0.01 && value < 0.99 ? value.toFixed(2) : value.toFixed(3);
 }
 
+/** An integer as an exponent in superscript. */
+const raised = (value) => [...value.toFixed(0)].map((sign) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(sign)]).join("");
+
 export function odds(value) {
   if (value === null || value === undefined) return "";
   const tens = value / Math.LN10;
-  return Math.abs(tens) < 3 ? `odds ${digits(Math.exp(value), 2)} : 1` : `odds 10^${tens.toFixed(0).replace("-", "−")} : 1`;
+  return Math.abs(tens) < 3 ? `odds ${digits(Math.exp(value), 2)} : 1` : `odds 10${raised(tens)} : 1`;
 }
 
 export function bar(share, tick = null) {
