@@ -58,6 +58,7 @@ def test_the_fit_comes_back_to_what_it_was(first, second, third):
 def test_an_effect_that_the_campaign_takes_as_exact_is_not_added(first):
     with pytest.raises(InputError, match="would add nothing: the campaign takes this error as exactly 0"):
         extend(first.fit, ["thermometer_error"])
+    assert not extend(first.fit, ["correlated_noise"]).new.any()  # noise has no parameters but its scales
 
 
 def test_what_a_removal_costs_is_the_reverse_of_what_the_addition_brought(second, third):

@@ -208,7 +208,8 @@ def _stated_as_exact(model: Model, known: int) -> Iterator[Issue]:
     uncertain = {effect.name for effect in model.assembly.effects if effect.parameters}
     for entry in model.spec.effects[known:]:
         declared = declared_parameters(model.registry.find(entry.name, entry.where))
-        if declared and entry.name not in uncertain:
+        stated = bool(declared) and all(each.equipment for each in declared.values())
+        if stated and entry.name not in uncertain:
             yield Issue(
                 f"'{entry.name}' would add nothing: the campaign takes this error as exactly 0",
                 entry.where,
