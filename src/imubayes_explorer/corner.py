@@ -14,7 +14,7 @@ from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.records import Record
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import draws_of
-from imubayes_explorer.calibration import calibration_facts
+from imubayes_explorer.calibration import EstimateLine, calibration_facts
 from imubayes_explorer.edited_model import prior_text
 
 _PLACES, _REACH, _KERNEL = 81, 5.0, 0.25
@@ -25,21 +25,14 @@ for a thousand draws."""
 Span = tuple[int, float, float]
 
 
-class QuantityFacts(Record):
-    """One quantity: densities of posterior and prior at places `x` in `unit`, over the highest value of both.
+class QuantityFacts(EstimateLine):
+    """An estimate with densities of posterior and prior at places `x` in `unit`, over the highest value of both.
 
     Attributes
     ----------
-    estimate, sd, from_data, weak : as in the table of the estimates.
     written : the prior of a parameter as a model file has it; empty of a derived quantity.
     """
 
-    name: str
-    unit: str
-    estimate: str
-    sd: str
-    from_data: str
-    weak: bool
     written: str
     x: tuple[float, ...]
     posterior: tuple[float, ...]
@@ -94,8 +87,8 @@ def corner_facts(result: Result, names: Sequence[str]) -> CornerFacts:
         highest = max(float(np.max(each)) for each in both)
         posterior, before = (tuple((each / highest).tolist()) for each in both)
         quantities.append(QuantityFacts(
-            name=name, unit=line.unit, estimate=line.estimate, sd=line.sd, from_data=line.from_data, weak=line.weak,
-            written=prior_text(result.fit.model, name), x=tuple(x.tolist()), posterior=posterior, prior=before,
+            **line.model_dump(), written=prior_text(result.fit.model, name), x=tuple(x.tolist()),
+            posterior=posterior, prior=before,
         ))  # fmt: skip
     pairs = (_pair(across, up, list(drawn.values()), places) for across, up in combinations(range(len(drawn)), 2))
     return CornerFacts(quantities=tuple(quantities), pairs=tuple(pairs))

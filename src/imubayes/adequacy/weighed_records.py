@@ -29,14 +29,13 @@ from imubayes.adequacy.known_noise import largest_scatter
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
-from imubayes.foundations.wrong_records import WrongRecord
+from imubayes.foundations.wrong_records import RATIO, WIDTHS, WrongRecord
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
-_WIDTHS = {"degC": 30.0, "rad": 1.0}
-"""Standard deviations of errors of a column by its SI unit; of a ratio and of the attitude of a seat 0.3."""
-_RATIO = 0.3
+_WIDTHS = {"degC": WIDTHS["degC"], "rad": 1.0}
+"""Standard deviations of errors of a column by its SI unit; of a ratio and of the attitude of a seat `RATIO`."""
 _STARTS = {"degC": (0.0, -60.0, -25.0, 25.0, 60.0), "rad": (0.0, -1.5, 1.5, 3.0)}
 """Sizes from which the best one is looked for."""
 _SIGN = -2.0  # of a factor, what reverses the sign of a column
@@ -231,7 +230,7 @@ class _Weighing:
         return [np.zeros(freedom), *([np.array([_SIGN])] if wrong.form.endswith("factor") else [])]
 
     def _width(self, wrong: WrongInput) -> float:
-        return _WIDTHS.get(COVARIATES[wrong.covariate].si, _RATIO) if wrong.form == "offset" else _RATIO
+        return _WIDTHS.get(COVARIATES[wrong.covariate].si, RATIO) if wrong.form == "offset" else RATIO
 
     def _at(self, wrong: WrongInput, size: np.ndarray, z: np.ndarray, free: bool) -> WeighedRecord | None:
         """Return the record corrected by about a size, which is estimated beside parameters near z where it is free."""
@@ -312,7 +311,7 @@ class _Weighing:
         campaign = self.model.campaign
         response = Predictions(self.model, np.asarray(self.fitted.z)).response(wrong, campaign)
         assert response is not None  # outputs always have one
-        width = _RATIO
+        width = RATIO
         if wrong.form == "output_offset":
             known = np.concatenate([run.observed[:, wrong.channel] for run in campaign.runs])
             width *= float(np.nanmax(np.abs(known - campaign.channels[wrong.channel or 0].offset))) or 1.0

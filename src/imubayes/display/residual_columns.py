@@ -6,7 +6,7 @@ Apart from the figures, because a page that draws by itself needs no drawing lib
 import numpy as np
 import polars as pl
 
-from imubayes.display.numbers_and_labels import covariates
+from imubayes.display.numbers_and_labels import covariates, with_minus
 from imubayes.foundations.covariates import COVARIATES, Covariate
 
 NORMAL = 1.959964
@@ -61,5 +61,5 @@ def temperature_levels(residuals: pl.DataFrame) -> dict[str, str]:
     level = np.cumsum(np.diff(middle, prepend=middle[0]) > _ALIKE)
     if level[-1] >= _MOST_LEVELS:
         return ramps
-    names = [f"{np.mean(middle[level == place]):.0f} °C".replace("-", "−") for place in level]
+    names = [with_minus(f"{np.mean(middle[level == place]):.0f} °C") for place in level]
     return ramps | dict(zip(steady["run"].to_list(), names, strict=True))
