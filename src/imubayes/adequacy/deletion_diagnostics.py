@@ -16,6 +16,7 @@ effects by `imubayes.criticism.evidence`.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -195,14 +196,17 @@ def known_before(fitted: Fit) -> np.ndarray:
     return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
 
 
-def runs_apart(fitted: Fit) -> tuple[DoubtedRun, ...]:
-    """Return the runs that the others do not predict although they agree with one another, the least probable first."""
-    if not fitted.optimised:
-        return ()
-    linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, known_before(fitted))
+def runs_apart(fitted: Fit, linear: LinearFit, disagreeing: Mapping[int, float]) -> tuple[DoubtedRun, ...]:
+    """Return the runs that the others do not predict although they agree with one another, the least probable first.
+
+    Parameters
+    ----------
+    linear : the fit linearised at the noise known before.
+    disagreeing : the log p-value of each run, as `disagreeing_runs` has it.
+    """
     names, found = [run.name for run in fitted.model.campaign.runs], []
     largest = largest_scatter(fitted.model)
-    for run, log_p in disagreeing_runs(linear).items():
+    for run, log_p in disagreeing.items():
         if log_p < math.log(_TOLD_P) and agree(linear.fit(linear.whole - linear.of_run(run)), largest):
             found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
     return tuple(sorted(found, key=lambda each: each.p))

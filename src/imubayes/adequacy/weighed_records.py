@@ -80,12 +80,13 @@ def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
 
     Empty where the runs agree with one another.
     """
-    if not fitted.optimised:
-        return ()
-    weighing = _Weighing(fitted)
-    told = sorted(disagreeing_runs(weighing.stated).items(), key=lambda each: each[1])
+    return _weighed(_Weighing(fitted)) if fitted.optimised else ()
+
+
+def _weighed(weighing: "_Weighing") -> tuple[WeighedRecord, ...]:
+    told = sorted(weighing.disagreeing.items(), key=lambda each: each[1])
     doubted = [run for run, log_p in told if log_p < _DISAGREES][:_DOUBTED]
-    suspects = [*_suspects(fitted, doubted)]
+    suspects = [*_suspects(weighing.fitted, doubted)]
     each = math.log(len(suspects) or 1) - _PRIOR_ODDS
     found = [weighing.weighed(wrong) for wrong in suspects]
     odds = [replace(one, log_odds=one.log_odds - each) for one in found if one is not None]
@@ -112,15 +113,18 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     the likeliest is told, with what the runs cannot tell from it; else the runs without which the others agree with one
     another.  Where they do not, something is missing in the model and no run is to blame.
     """
-    weighed = weighed_records(fitted)
+    if not fitted.optimised:
+        return ()
+    weighing = _Weighing(fitted)
+    weighed = _weighed(weighing)
     if not weighed or weighed[0].log_odds < _TOLD or not weighed[0].explains:
-        return runs_apart(fitted)
+        return runs_apart(fitted, weighing.stated, weighing.disagreeing)
     campaign, best = fitted.model.campaign, weighed[0]
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
     odds = np.array([each.log_odds for each in near])
     share = np.exp(odds - np.logaddexp.reduce(odds))
     causes = [wrong_record(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
-    log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
+    log_p = weighing.disagreeing[best.wrong.run]
     return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
 
 
@@ -192,6 +196,7 @@ class _Weighing:
     def __init__(self, fitted: Fit):
         self.fitted, self.model, self.h = fitted, fitted.model, known_before(fitted)
         self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
+        self.disagreeing = disagreeing_runs(self.stated)
         self.as_recorded = _evidence(self.stated)[1]
         self.largest = largest_scatter(fitted.model)
 

@@ -339,8 +339,11 @@ def drift(
     if picture is not None:
         from imubayes_archive.display.figures.batch import drift_picture
 
-        names = [each.parameter for each in found.parameters]
-        drift_picture(dated_estimates(*tables), names).save(picture)
+        estimates = dated_estimates(*tables)
+        # Of units that were calibrated once, the calibrations are drawn all the same.
+        every = dict.fromkeys(estimates["parameter"]) if estimates.height else ()
+        names = [each.parameter for each in found.parameters] or [*every]
+        drift_picture(estimates, names).save(picture)
     show(lambda: found, lambda: drift_report(found), as_json)
 
 
