@@ -166,13 +166,15 @@ def test_a_reversed_axis_is_named(tmp_path: Path, desk: str, channel: str) -> No
     assert f"with '{channel}' reversed" in finding.what
 
 
-def test_exchanged_axes_are_noticed(tmp_path: Path, desk: str) -> None:
+def test_exchanged_axes_come_with_their_lines(tmp_path: Path, desk: str) -> None:
     folder = Path(shutil.copytree(DESK, tmp_path / "desk"))
     assert not check_campaign(folder)
     exchanged = desk.replace('name = "gx"', 'name = "-"').replace('name = "gy"', 'name = "gx"')
     (folder / "campaign.toml").write_text(exchanged.replace('name = "-"', 'name = "gy"'))
     (finding,) = check_campaign(folder)
     assert finding.name == "axes_do_not_fit"
+    assert "with the axes of gyros exchanged it is" in finding.what
+    assert "'gy': input_axis = [0, 1, 0]; 'gx': input_axis = [1, 0, 0]" in finding.remedy
 
 
 @pytest.mark.parametrize("seed", [1, 3])

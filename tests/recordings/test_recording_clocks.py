@@ -163,3 +163,39 @@ def test_packets_that_come_late_are_no_gaps(tmp_path: Path, lost: int) -> None:
     assert np.median(steps) == pytest.approx(1 / rate, rel=2e-3)
     assert np.count_nonzero(steps > 0.5) == (1 if lost else 0)
     assert np.mean(steps) == pytest.approx((count - 1 + lost) / (count - 1) / rate, rel=2e-3)
+
+
+def in_pairs_of_steps(short: float, long: float, each: int, count: int = 3000) -> np.ndarray:
+    """Return times of short steps, every `each`-th step a long one, s."""
+    steps = np.where(np.arange(1, count) % each == 0, long, short)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def swung(time: np.ndarray, noise: float = 1e-3) -> np.ndarray:
+    """Return the six channels of a unit that swings about two axes, at times, (n, 6): m/s² and rad/s."""
+    rng, angle = np.random.default_rng(5), 0.8 * np.sin(7.0 * time)
+    rate = 5.6 * np.cos(7.0 * time)
+    force = 9.81 * np.stack([-np.sin(angle), 0.3 * np.cos(5.0 * time), np.cos(angle)], axis=1)
+    return np.c_[force, 1.5 * np.cos(5.0 * time), rate, 0.1 * rate] + rng.normal(0, noise, (len(time), 6))
+
+
+@pytest.mark.parametrize("short", [0.5e-3, 2.1e-3])
+def test_the_motion_decides_whether_steps_are_packets_or_pauses(tmp_path: Path, short: float) -> None:
+    """Three samples arrive at once every 26 ms, or are taken at once: the same times of two clocks."""
+    times = in_pairs_of_steps(short, 26e-3, 3)
+    even = np.arange(len(times)) * np.mean(np.diff(times))
+    for sampled, packets in ((even, True), (times, False)):
+        np.savetxt(tmp_path / "log", np.c_[times, swung(sampled)], header="time ax ay az gx gy gz", fmt="%.12g")
+        made = read_recordings([tmp_path / "log"], accel_unit="m/s^2", gyro_unit="rad/s").campaign
+        table, notes = made.tables["runs/recording.csv"], "\n".join(made.document["notes"])
+        assert ("samples arrive in packets of 3" in notes) == packets
+        expected = even - even[0] if packets else times
+        np.testing.assert_allclose(np.diff(table["time_s"]), np.diff(expected), rtol=5e-3)
+
+
+def test_many_pauses_of_a_unit_at_rest_are_packets(tmp_path: Path) -> None:
+    times = in_pairs_of_steps(2.1e-3, 26e-3, 3)
+    rest = np.random.default_rng(6).normal([0, 0, 9.81, 0, 0, 0], 0.02, (len(times), 6))
+    np.savetxt(tmp_path / "log", np.c_[times, rest], header="time ax ay az gx gy gz", fmt="%.12g")
+    made = read_recordings([tmp_path / "log"], accel_unit="m/s^2", gyro_unit="rad/s").campaign
+    assert "samples arrive in packets of 3" in "\n".join(made.document["notes"])

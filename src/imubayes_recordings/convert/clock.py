@@ -30,7 +30,10 @@ _OUT_OF_ORDER = 1e-3  # share of the rows that may be late
 _GAP = 1.6  # sampling intervals
 _JITTER = 0.1  # of the sampling interval
 _PACKED = 0.3  # of the mean step, below which a step is within a packet
-_WITHIN = 2e-3  # s, of steps within a packet; longer ones are a sampling interval, between pauses of the record
+_FEW = 0.05  # share of the steps that are pauses of a record at most; packets have more, or steps below the next number
+_WITHIN = 2e-3  # s, of steps within a packet
+_LEAST_CORNERS = 50  # samples between a step within a packet and one between packets
+_AS_EVEN, _AS_RECORDED = 1.4, 0.8  # roughness by the recorded times over that by even ones; at most 1.16 of white noise
 _PACKETS, _REFINEMENTS = 50, 3  # packets of a window, and rounds
 _OWN = 0.7  # of the jump of the delay, that is the length of its pause
 _DAY = 86400.0
@@ -179,7 +182,7 @@ def _clock(
         notes.append(f"{counted(int(late.sum()), 'sample')} out of order left out")
     if (repeated & ~late).any():
         notes.append(f"{counted(int((repeated & ~late).sum()), 'repeated sample')} left out")
-    time, found = _mended(time, options)
+    time, found = _mended(time, [column[keep] for column in channels], options)
     return Clock(time, keep, unit, guess, (*notes, *found, *lost))
 
 
@@ -276,14 +279,50 @@ def _goes_back(table: ChosenTable, time: np.ndarray, late: int) -> Exception:
     )
 
 
-def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list[str]]:
+def _in_packets(time: np.ndarray, channels: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Return which steps are within a packet, (n − 1,); None of times that are those of the samples.
+
+    A unit in motion decides: each sample next to a long and a short step is interpolated between its neighbours, by the
+    recorded times and as if all steps were equal.  The right clock interpolates with the smaller error.  The noise of a
+    unit at rest does not depend on the clock; then many long steps, or very short ones, are packets, and few long steps
+    are pauses of the record.
+    """
+    step = np.diff(time)
+    packed = step < _PACKED * np.mean(step)
+    if packed.mean() <= 0.4 or packed.all():
+        return None
+    corner = np.flatnonzero(packed[1:] != packed[:-1]) + 1
+    if len(corner) >= _LEAST_CORNERS:
+        share = step[corner - 1] / (step[corner - 1] + step[corner])
+        ratios = [_roughness(column, corner, share) for column in channels]
+        smoother, rougher = max(ratios), min(ratios)
+        if max(smoother / _AS_EVEN, _AS_RECORDED / rougher) > 1:
+            return packed if smoother / _AS_EVEN > _AS_RECORDED / rougher else None
+    return packed if (~packed).mean() > _FEW or np.median(step[packed]) < _WITHIN else None
+
+
+def _roughness(column: np.ndarray, place: np.ndarray, share: np.ndarray) -> float:
+    """Return the median interpolation error of samples by the recorded times over that by even ones; 1 of a constant.
+
+    Parameters
+    ----------
+    column : shape (n,).
+    place, share : shape (m,), the samples, and where they are between their neighbours by the recorded times, 0 to 1.
+    """
+    before, here, after = column[place - 1], column[place], column[place + 1]
+    recorded = float(np.nanmedian(np.abs(here - before - share * (after - before))))
+    even = float(np.nanmedian(np.abs(here - 0.5 * (before + after))))
+    return recorded / even if recorded > 0 and even > 0 else 1.0
+
+
+def _mended(time: np.ndarray, channels: Sequence[np.ndarray], options: ConvertOptions) -> tuple[np.ndarray, list[str]]:
     """Return increasing times, even where they were asked for or arrive in packets, and what was found."""
     step = np.diff(time)
     if len(step) < 20:
         return time, []
-    mean, median = float(np.mean(step)), float(np.median(step))
-    packed = step < _PACKED * mean
-    if packed.mean() > 0.4 and (~packed).any() and np.median(step[packed]) < _WITHIN:
+    median = float(np.median(step))
+    packed = _in_packets(time, channels)
+    if packed is not None:
         between = float(np.median(step[~packed]))
         size = round(1 + packed.sum() / max(1, (~packed).sum()))
         even = _even(time, _lost_packets(time, step > _GAP * between, between, _PACKETS * size))

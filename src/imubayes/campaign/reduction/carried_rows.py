@@ -17,6 +17,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction import Limits
 from imubayes.campaign.reduction import static_poses as static
+from imubayes.campaign.reduction.axis_senses import axis_changes, best_change, finding_of
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, levelling, wrong_acceleration_unit
 from imubayes.campaign.reduction.motion_windows import (
     Division,
@@ -30,6 +31,7 @@ from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 
 LEAST_SECONDS = 5.0
 MOST_ROWS, MOST_ABOUT_ONE_AXIS = 250, 120  # effort; about one axis there are several runs
@@ -40,6 +42,10 @@ _LEAST_TOGETHER = 6  # windows
 _BIAS, _SCALE = np.radians(20.0), 0.2  # a priori, of the first estimate
 # Gravity and all hand accelerations leave |f| of this share of g on average.
 _INCONSISTENT = np.deg2rad(30.0)
+# A change of axes is named if it reduces the change of gravity from window to window to this fraction, with such odds
+# by as many pairs of windows.  It was 0.32 of a recorded unit whose gyros were 180 deg off about one axis, and 0.53 of
+# one reversed gyro.
+_BETTER, _LEAST_ODDS = 0.7, 5.0
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,9 @@ def reduce_motion(
     estimate = _gyros_by_gravity(windows, rates, length, coning, gravity)
     carried = _carried_force(windows, rates, length, coning, estimate)
     attitude, misfit = _attitudes(log, carried, rates, length, coning, estimate, gravity)
-    findings += _inconsistent(misfit, gravity, file)
+    findings += _changed_axes(log, windows, rates, length, coning, channels, file) or _inconsistent(
+        misfit, gravity, file
+    )
     kept, left = _kept_windows(misfit, MOST_ABOUT_ONE_AXIS if about_one_axis(log.rate) else MOST_ROWS)
     tumble = replace(
         _tumble(log, windows, attitude, kept, (length, readings, coning)),
@@ -136,26 +144,22 @@ def _divided(
     """Return the log, divided into stretches without gaps and clipped samples, and notes on what is left out."""
     recording = static.record(numbers, channels, None, file)
     _, rate = static.body_vectors(recording.readings, channels, file)
-    longest = max(recording.time[b] - recording.time[a] for a, b in contiguous(recording.time, recording.interval, 0))
-    division = divide(rate, recording.interval, float(longest))
-    parts = contiguous(recording.time, recording.interval, division.samples)
-    series, left = stretches(parts, division)
-    first = [start + place * division.samples for start, count in series for place in range(count)]
-    begins = [place == 0 for _, count in series for place in range(count)]
     clipped = {c.name: np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)}
-    bad = _spoilt(first, division.samples, clipped)
-    chosen = np.flatnonzero(~bad)
-    seconds = len(chosen) * division.samples * recording.interval
-    refuse_short(seconds, file)
-    follows = np.array([not begins[i] and i > 0 and not bad[i - 1] for i in chosen])
-    log = MotionLog(
-        recording.time, recording.readings, recording.force, rate, division, np.array(first)[chosen], follows
-    )
+    unusable = np.any(list(clipped.values()), axis=0)
+    whole = contiguous(recording.time, recording.interval, 1, unusable)
+    longest = max((float(recording.time[b] - recording.time[a]) for a, b in whole), default=0.0)
+    refuse_short(longest, file)
+    division = divide(rate, recording.interval, whole)
+    parts = contiguous(recording.time, recording.interval, division.samples, unusable)
+    series, left = stretches(parts, division)
+    first = np.array([start + place * division.samples for start, count in series for place in range(count)])
+    follows = np.array([place > 0 for _, count in series for place in range(count)])
+    log = MotionLog(recording.time, recording.readings, recording.force, rate, division, first, follows)
     seconds = division.samples * recording.interval
     notes = (f"{left} stretches of {seconds:.3g} s are left out, evenly, to bound the effort of the fit",) * (left > 0)
-    if bad.any():
+    if unusable.any():
         named = ", ".join(name for name, own in clipped.items() if own.any())
-        notes += (f"{named}: clipped; {int(bad.sum())} stretches of {seconds:.3g} s left out",)
+        notes += (f"{named}: clipped; {counted(int(unusable.sum()), 'sample')} left out, which divide the log",)
     return log, notes
 
 
@@ -167,12 +171,6 @@ def refuse_short(seconds: float, file: str) -> None:
             file, f"{LEAST_SECONDS:g} s or more in one piece; some minutes in all attitudes are recommended",
             "record for longer, within the ranges of all channels",
         )  # fmt: skip
-
-
-def _spoilt(first: Sequence[int], samples: int, clipped: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return which stretches hold a clipped sample of any channel, shape (T,)."""
-    any_channel = np.any(list(clipped.values()), axis=0)
-    return np.array([any_channel[start : start + samples + 1].any() for start in first], dtype=bool)
 
 
 def _windows(log: MotionLog) -> Windows:
@@ -402,6 +400,42 @@ def scatter_of_samples(readings: np.ndarray) -> np.ndarray:
     if readings.shape[1] <= _ROUGH + 1:
         return np.full(len(readings), np.nan)
     return np.sqrt(np.mean(np.diff(readings, _ROUGH, axis=1) ** 2, axis=1) / _ROUGH_NOISE)
+
+
+def _changed_axes(
+    log: MotionLog,
+    windows: Windows,
+    rates: np.ndarray,
+    length: np.ndarray,
+    coning: np.ndarray,
+    channels: Sequence[Channel],
+    file: str,
+) -> list[Finding]:
+    """Return a finding if gravity keeps its direction from window to window much better with other axes."""
+    nominal = GyroEstimate(np.zeros(3), np.zeros(3), np.zeros((6, 6)))
+
+    def left(force: np.ndarray, rate: np.ndarray) -> float:
+        # The coning correction is a vector product of two rates.
+        turned = np.linalg.det(rate) * np.linalg.inv(rate).T
+        held = replace(windows, force=windows.force @ force.T)
+        carried = _carried_force(held, rates @ rate.T, length, coning @ turned.T, nominal)
+        pairs = carried[:, : carried.shape[1] // 2 * 2].reshape(len(carried), -1, 2, 3)
+        size = np.linalg.norm(carried, axis=-1).mean()
+        apart = np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1)
+        return float(np.median(apart) / size)
+
+    now, count = left(np.eye(3), np.eye(3)), len(log.first) * (log.division.stretch // 2)
+    largest = min(_BETTER, float(np.exp(-_LEAST_ODDS / max(count, 1)))) * now
+    best = best_change(axis_changes(channels), lambda each: left(each.force, each.rate), largest)
+    if best is None:
+        return []
+    change, rest = best
+    before, after = (float(np.degrees(2 * np.arcsin(min(0.5 * size, 1)))) for size in (now, rest))
+    what = (
+        f"gravity carried by the gyros from one window to the next is {before:.3g} deg from the direction that the "
+        f"accelerometers observe; with {change.words} it is {after:.2g} deg"
+    )
+    return [finding_of(change, what, file)]
 
 
 def _inconsistent(misfit: np.ndarray, gravity: float, file: str) -> list[Finding]:

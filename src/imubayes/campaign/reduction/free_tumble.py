@@ -14,6 +14,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign.reduction import static_poses as static
+from imubayes.campaign.reduction.axis_senses import ALLOWED, AxisChange, axis_changes, best_change, finding_of
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
@@ -22,7 +23,7 @@ from imubayes.foundations.errors import input_error
 
 # Nominal biases and scale factors propagate gravity to within a few degrees; a reversed axis misses by tens.
 _INCONSISTENT = np.deg2rad(20.0)
-# A reversed axis is named if reversing it reduces the angle to this fraction.
+# A change of axes or of a factor is named if it reduces the angle to this fraction.
 _BETTER = 0.3
 # Of the rates, as close as several full turns need; findings of a wrong unit come before.
 _FACTORS = np.geomspace(0.25, 4.0, 61)
@@ -33,30 +34,25 @@ _USUAL, _OTHER_RANGE = 1.1, 1.5
 def check_axes(
     recording: static.Recording, poses: Sequence[static.Pose], channels: Sequence[Channel], file: str
 ) -> list[Finding]:
-    """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations.
-
-    A reversed accelerometer is invisible in |f| = g, and a fit would absorb it in other parameters.
-    """
+    """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations."""
     if not recording.turns:
         return []
     angle = propagation_error(recording, poses)
     if not angle > _INCONSISTENT:
         return []
-    gyros = [index for index, channel in enumerate(channels) if channel.kind == "gyro"]
-    inertial = [index for index, channel in enumerate(channels) if channel.kind in ("gyro", "accelerometer")]
-    trials = [*([index] for index in inertial), gyros]
-    angles = [propagation_error(_with_reversed(recording, channels, trial, file), poses) for trial in trials]
-    best = int(np.argmin(angles))
+
+    def left(change: AxisChange) -> float:
+        force, rate = recording.force @ change.force.T, recording.rate @ change.rate.T
+        return propagation_error(replace(recording, force=force, rate=rate), poses)
+
+    best = best_change(axis_changes(channels), left, _BETTER * angle)
     what = (
         f"gravity propagated by the gyros from pose to pose is {np.rad2deg(angle):.3g} deg from the direction that the "
         "accelerometers observe"
     )
-    allowed = "axes of one right-handed system, for gyros and accelerometers alike"
-    if angles[best] < _BETTER * angle:
-        names = ", ".join(f"'{channels[index].name}'" for index in trials[best])
-        what += f"; with {names} reversed it is {np.rad2deg(angles[best]):.2g} deg"
-        remedy = f"check the sign of input_axis of {names}"
-        return [Finding("sign_reversed", "warning", "", what, file, allowed, remedy)]
+    if best is not None:
+        change, rest = best
+        return [finding_of(change, f"{what}; with {change.words} it is {np.rad2deg(rest):.2g} deg", file)]
     factor, rest = _common_factor(recording, poses)
     if rest < _BETTER * angle:
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
@@ -66,8 +62,8 @@ def check_axes(
         severity = "error" if far > _OTHER_RANGE else "warning"
         named = Finding("scale_far_from_nominal", severity, "", what, file, allowed, remedy)
         return [named] if far > _USUAL else []
-    remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
-    return [Finding("axes_do_not_fit", "warning", "", what, file, allowed, remedy)]
+    remedy = "check input_axis of all channels: several axes may be reversed"
+    return [Finding("axes_do_not_fit", "warning", "", what, file, ALLOWED, remedy)]
 
 
 def _common_factor(recording: static.Recording, poses: Sequence[static.Pose]) -> tuple[float, float]:
@@ -91,15 +87,6 @@ def propagation_error(recording: static.Recording, poses: Sequence[static.Pose])
         edges = static.step_edges(recording.time, recording.rate, before.stop - 1, after.start)
         angles.append(static.angle_between(static.rotation_between(recording, edges)[0].T @ f, h))
     return float(np.mean(angles)) if angles else 0.0
-
-
-def _with_reversed(
-    recording: static.Recording, channels: Sequence[Channel], indices: Sequence[int], file: str
-) -> static.Recording:
-    sign = np.ones(len(channels))
-    sign[list(indices)] = -1.0
-    force, rate = static.body_vectors(recording.readings, channels, file, sign)
-    return replace(recording, force=force, rate=rate - static.initial_mean(rate, recording.initial))
 
 
 MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest

@@ -7,6 +7,7 @@ as the samples do, so that nothing is lost where the unit turns by half a radian
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ STRETCH_SECONDS, MOST_STRETCH_SECONDS = 10.0, 60.0
 MOST_STRETCHES, MOST_ABOUT_ONE_AXIS = 12, 1  # effort: each brings three angles
 ONE_AXIS = 0.95  # of the mean square rate, along one axis of the body: the unit turns about it
 _FAST = 0.98  # quantile of the rate for which steps and windows are chosen
+_LEAST_USED = 0.8  # of the most that stretches of any length use
 _DEGREE = 4  # of polynomials that are averaged exactly
 
 
@@ -53,14 +55,14 @@ class Division:
         return self.steps * self.step
 
 
-def divide(rate: np.ndarray, interval: float, longest: float) -> Division:
+def divide(rate: np.ndarray, interval: float, parts: Sequence[tuple[int, int]]) -> Division:
     """Return the division of a record by how fast it turns.
 
     Parameters
     ----------
     rate : shape (N, 3), body axes, rad/s.
     interval : sampling interval, s.
-    longest : part of the record without a gap, s.
+    parts : first and last sample of each part of the record without a gap.
     """
     fast = max(float(np.quantile(np.linalg.norm(rate, axis=1), _FAST)), 1e-3)
     step = max(1, int(min(STEP_SECONDS, STEP_ANGLE / fast) / interval))
@@ -69,8 +71,23 @@ def divide(rate: np.ndarray, interval: float, longest: float) -> Division:
     whole = (len(rate) - 1) * interval
     most = MOST_ABOUT_ONE_AXIS if about_one_axis(rate) else MOST_STRETCHES
     count = max(1, min(most, math.ceil(whole / STRETCH_SECONDS)))
-    stretch = min(whole / count, longest, MOST_STRETCH_SECONDS) / (steps * step * interval)
+    longest = min(whole / count, MOST_STRETCH_SECONDS) / interval
+    stretch = _longest_useful(np.array([stop - start for start, stop in parts]), longest, most) / (steps * step)
     return Division(step, steps, max(2, 2 * int(stretch / 2)), most)
+
+
+def _longest_useful(lengths: np.ndarray, longest: float, most: int) -> float:
+    """Return how long stretches are: as long as possible if that leaves out little of the parts of a record.
+
+    Parameters
+    ----------
+    lengths : shape (n,), of the parts, in intervals.
+    longest : that a stretch may be.
+    most : stretches that are used.
+    """
+    tried = np.unique(np.minimum(lengths, longest))
+    used = np.array([min(most, int(np.sum(lengths // length))) * length for length in tried])
+    return float(tried[used >= _LEAST_USED * used.max()].max())
 
 
 def about_one_axis(rate: np.ndarray) -> bool:
@@ -79,11 +96,17 @@ def about_one_axis(rate: np.ndarray) -> bool:
     return bool(squares[-1] > ONE_AXIS * squares.sum())
 
 
-def contiguous(time: np.ndarray, interval: float, least: int) -> list[tuple[int, int]]:
-    """Return first and last sample of the parts of a record without gaps, of at least so many intervals each."""
-    gaps = np.flatnonzero(np.diff(time) > max(0.05, 3 * interval))
-    first, last = np.concatenate([[0], gaps + 1]), np.concatenate([gaps, [len(time) - 1]])
-    return [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= least]
+def contiguous(
+    time: np.ndarray, interval: float, least: int, unusable: np.ndarray | None = None
+) -> list[tuple[int, int]]:
+    """Return first and last sample of the parts of a record without gaps, of at least so many intervals each.
+
+    Unusable samples, (N,) bool, such as clipped ones, are gaps as well.
+    """
+    usable = np.ones(len(time), dtype=bool) if unusable is None else ~unusable
+    joined = (np.diff(time) <= max(0.05, 3 * interval)) & usable[1:] & usable[:-1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= least]
 
 
 def stretches(parts: list[tuple[int, int]], division: Division) -> tuple[list[tuple[int, int]], int]:

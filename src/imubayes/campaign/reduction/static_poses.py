@@ -419,14 +419,9 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def body_vectors(
-    readings: np.ndarray, channels: Sequence[Channel], file: str, sign: np.ndarray | float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return nominal force and rate in body axes, (N, 3) each; `sign`, shape (C,), is −1 for a reversed channel.
-
-    The rate is 0 where the gyros do not span three dimensions.
-    """
-    signal = sign * (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
+def body_vectors(readings: np.ndarray, channels: Sequence[Channel], file: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return nominal force and rate in body axes, (N, 3) each; no rate if the gyros do not span three dimensions."""
+    signal = (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
     if not spans_space(channels, "accelerometer"):
         raise input_error(
             "a free tumble needs three accelerometers in different directions",
