@@ -175,15 +175,19 @@ def _clock(
     late = time < np.maximum.accumulate(time)
     if late.mean() > _OUT_OF_ORDER:
         raise _goes_back(table, time, int(late.sum()))
-    repeated = _repeated(time, [column[keep] for column in channels]) | late
+    repeated = _repeated(time, _rows(channels, keep)) | late
     keep[np.flatnonzero(keep)[repeated]] = False
     time, notes = time[~repeated], list(wrapped)
     if late.any():
         notes.append(f"{counted(int(late.sum()), 'sample')} out of order left out")
     if (repeated & ~late).any():
         notes.append(f"{counted(int((repeated & ~late).sum()), 'repeated sample')} left out")
-    time, found = _mended(time, [column[keep] for column in channels], options)
+    time, found = _mended(time, _rows(channels, keep), options)
     return Clock(time, keep, unit, guess, (*notes, *found, *lost))
+
+
+def _rows(columns: Sequence[np.ndarray], keep: np.ndarray) -> list[np.ndarray]:
+    return [column[keep] for column in columns]
 
 
 def _without_empty(
