@@ -167,3 +167,20 @@ def test_gyros_in_counts_have_their_scale_by_the_stated_turns(tmp_path: Path, se
     said = "\n".join(given.campaign.document["notes"])
     assert "nominal scale of the gyros as stated: 930, 930, 930 count per rad/s; offset estimated from turns" in said
     assert "deg/s; the biases of a fit are in addition to it" in said
+
+
+def test_a_small_motion_about_an_axis_is_no_turn_of_its_scale(tmp_path: Path) -> None:
+    """The unit is put down between the turns: 20 deg about z alone, which is no whole part of a turn."""
+    counts = np.round(np.c_[turned([(0, 360.0), (2, 20.0), (1, -360.0), (0, 360.0)])] * [1000, 900, 900, 900])
+    np.savetxt(tmp_path / "log.csv", counts, delimiter=",", header="ms,gx,gy,gz", comments="", fmt="%d")
+    made = read_recordings([tmp_path / "log.csv"], gyro_unit="count", turn_deg=360, latitude_deg=48).campaign
+    scale = np.array([channel["scale"] for channel in made.document["channel"]])
+    np.testing.assert_allclose(scale[:2], 900 * SCALE[:2], rtol=1e-2)
+    np.testing.assert_allclose(scale[2], scale[:2].mean(), rtol=1e-3)
+
+
+def test_turns_with_short_rests_are_no_partial_turns(tmp_path: Path) -> None:
+    """From row to row less time passes than the turn takes, since the rests beside it are short."""
+    file = write(tmp_path / "turns.csv", turned([(2, 360.0), (2, -360.0)]))
+    folder = convert([file], tmp_path / "unit", turn_deg=360.0)
+    assert not [each for each in imubayes.load_campaign(folder).runs[0].notes if "partial_turn" in each]

@@ -261,7 +261,12 @@ def _stuck(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarra
 
 
 def _partial_turns(run: Run, where: str) -> list[Finding]:
-    """Return a warning for means at unknown angle over a time too short for a full turn."""
+    """Return a warning for means at unknown angle over a time too short for a full turn.
+
+    A run of turns from rest to rest through a stated angle has none: its angles are known.
+    """
+    if run.turn_uncertainty is not None:
+        return []
     span, angle = run.covariates["table_angle_span"], run.covariates["table_angle"]
     rate = np.abs(run.covariates["table_rate"])
     short = np.isnan(angle) & (span < TURN * 0.999)

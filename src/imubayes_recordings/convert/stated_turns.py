@@ -122,7 +122,7 @@ def counts_of_turns(
         raise input_error("no turn about one axis was found", where, _ALLOWED, "state --gyro-scale and --gyro-offset")
     single = _common_part(alone.max(axis=1))
     axis, multiple = alone.argmax(axis=1), alone.max(axis=1) / single
-    whole = np.abs(multiple - np.round(multiple)) < _OFF_ANGLE
+    whole = (np.abs(multiple - np.round(multiple)) < _OFF_ANGLE) & (np.round(multiple) > 0)
     per_turn = np.full(len(names), np.nan)
     for place in np.unique(axis[whole]).tolist():
         own = whole & (axis == place)
