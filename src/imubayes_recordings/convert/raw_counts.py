@@ -41,6 +41,11 @@ _PROBED = 1000  # rows
 _SEVERAL = 3  # jumps
 
 
+_STATE_GYROS = (
+    "give those of the datasheet: --gyro-scale and --gyro-offset; after turns through a known angle, --turn-deg 360"
+)
+
+
 @dataclass(frozen=True)
 class Nominal:
     """Nominal calibration, output = scale · input + offset; per axis, shape (3,) each."""
@@ -147,8 +152,8 @@ def estimate_gyros(
         raise input_error(
             f"no scale of the gyros carries gravity from pose to pose: {np.rad2deg(missed):.3g} deg are missed",
             where,
-            "gyros and accelerometers of one right-handed system, with the turns between the poses; or gyro_scale",
-            "check the columns, or give those of the datasheet: --gyro-scale and --gyro-offset",
+            "gyros and accelerometers of one right-handed system, and the whole turn from each pose to the next",
+            f"check the columns, and whether turns were cut out of the recording; or {_STATE_GYROS}",
         )
     return Nominal(1 / inverse, offset)
 
@@ -158,7 +163,7 @@ def _too_few_turns(turns: int, where: str) -> InputError:
         f"the gyro scale cannot be estimated from {turns} rotations between poses",
         where,
         f"{LEAST_TURNS} or more rotations about all axes, or gyro_scale and gyro_offset",
-        "give those of the datasheet: --gyro-scale and --gyro-offset",
+        _STATE_GYROS,
     )
 
 
