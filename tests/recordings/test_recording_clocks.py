@@ -92,6 +92,18 @@ def test_counters_wrap_and_miss_samples(tmp_path: Path) -> None:
     assert f"the counter misses {missing} samples in {missing} places" in "\n".join(made.document["notes"])
 
 
+@pytest.mark.parametrize("wrap", [0, 256])
+def test_a_counter_gives_the_places_of_samples_at_a_stated_rate(tmp_path: Path, wrap: int) -> None:
+    """Samples that the logger missed are gaps: a rate that took the rest as evenly spaced would be off by them."""
+    count = np.arange(len(EVEN)) % wrap if wrap else np.arange(len(EVEN))
+    keep = (np.arange(len(EVEN)) < 700) | (np.arange(len(EVEN)) >= 730)
+    np.savetxt(tmp_path / "log", np.c_[count, ROWS[:, 1:]][keep], header="counter ax ay az gx gy gz", fmt="%.12g")
+    units = {"accel_unit": "m/s^2", "gyro_unit": "rad/s"}
+    made = read_recordings([tmp_path / "log"], **units, sample_rate_hz=100.0).campaign
+    np.testing.assert_allclose(made.tables["runs/recording.csv"]["time_s"], EVEN[keep], atol=1e-9)
+    assert "the counter misses 30 samples in 1 place" in "\n".join(made.document["notes"])
+
+
 def test_repeated_and_late_rows_are_left_out_and_a_reset_is_refused(tmp_path: Path) -> None:
     twice = np.sort(np.r_[np.arange(len(EVEN)), [100, 300]])
     table, notes = read(tmp_path, EVEN, keep=twice)

@@ -152,11 +152,12 @@ def _clock(
     rows = len(next(iter(values.values())))
     rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
     channels = [values[name] for name in SIX if name in values]
-    lost = _dropped(values.get(COUNTER), filled)
+    numbers, lost = _sample_numbers(values.get(COUNTER), filled)
     values, empty = _without_empty(table, values)
     lost += empty
     if rate is not None:
-        return Clock(np.arange(rows)[filled] / rate, filled, "", "", lost)
+        places = np.arange(rows)[filled] if numbers is None else numbers
+        return Clock(places / rate, filled, "", "", lost)
     if TIME in values:
         unit, guess = _unit(table, values[TIME], options)
         raw, factor = np.asarray(values[TIME]), TIME_UNITS[unit]
@@ -414,12 +415,17 @@ def _increasing(time: np.ndarray) -> np.ndarray:
     return time[0] + np.concatenate([[0.0], np.cumsum(np.maximum(step, least))])
 
 
-def _dropped(counter: np.ndarray | None, filled: np.ndarray) -> tuple[str, ...]:
-    """Return what a counter says of lost samples; a column that does not mostly count by one is none."""
-    if counter is None:
-        return ()
-    step = np.diff(counter[filled & np.isfinite(counter)])
+def _sample_numbers(counter: np.ndarray | None, filled: np.ndarray) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Return the numbers of the filled samples by a counter, from 0, and a note on those that it misses.
+
+    There are none without a counter, and by a column that does not count up by one for nine samples in ten.
+    """
+    if counter is None or not np.isfinite(counter[filled]).all() or not filled.any():
+        return None, ()
+    number, _ = _unwrapped(np.asarray(counter, dtype=float)[filled], 1.0)
+    step = np.diff(number)
+    if not len(step) or step.min() < 1 or np.any(step % 1) or np.mean(step == 1) < 0.9:
+        return None, ()
     jumps = step[step > 1] - 1
-    if not len(step) or not len(jumps) or np.mean(step == 1) < 0.9:
-        return ()
-    return (f"the counter misses {counted(int(jumps.sum()), 'sample')} in {counted(len(jumps), 'place')}",)
+    notes = (f"the counter misses {counted(int(jumps.sum()), 'sample')} in {counted(len(jumps), 'place')}",)
+    return number - number[0], notes if len(jumps) else ()
