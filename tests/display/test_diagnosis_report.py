@@ -328,7 +328,8 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
     said = sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
     clause = (
-        "No interval includes it: gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, would bias "
+        "No interval includes it. Worst case: gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, "
+        "would bias "
         "accel_bias.bias[ax] by 663 standard deviations."
     )
     assert (clause in said) == told

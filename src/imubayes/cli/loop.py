@@ -64,8 +64,8 @@ def add(
     Parameters
     ----------
     effects
-        Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
-        prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
+        Names of effects or noise components; `imubayes effects` lists them. A Python file, as `imubayes diagnose
+        --python` prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
     to
         Result folder of the model to go on from; it stays as it is.
     out
@@ -251,7 +251,7 @@ def plant(
     model
         Model file, or the name of a shipped model; fitted first.
     result
-        Result folder to take instead of fitting.
+        Result folder to use in place of a new fit.
     effects
         Effects to plant; by default all that the model lacks.
     size
@@ -294,7 +294,7 @@ def remove(
     Parameters
     ----------
     effects
-        Names of effects or noise members of the model, or a Python file that defines some of them.
+        Names of effects or noise components of the model, or a Python file that defines some of them.
     source
         Result folder of the model to go on from; it stays as it is.
     out

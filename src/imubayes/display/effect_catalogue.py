@@ -29,7 +29,8 @@ def print_catalogue() -> None:
         parameters = ", ".join(f"{', '.join(names)} ({unit})" for unit, names in by_unit.items())
         grid.add_row(member.name, _acts_on(member), ", ".join(member.needs) or "–", parameters)
     Console().print(grid)
-    print("\nimubayes effects NAME explains one; imubayes effects --for CAMPAIGN says which a campaign could show")
+    print("\nimubayes effects NAME explains one, with its needs in words.")
+    print("imubayes effects --for CAMPAIGN lists those that a campaign could show.")
 
 
 def print_observable(campaign: Campaign) -> None:
@@ -88,7 +89,7 @@ def print_effect(effect: str) -> None:
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
-    console.print(f"one value per: {', '.join(member.per)}", highlight=False)
+    console.print(f"one value per: {', '.join(member.per) or 'campaign'}", highlight=False)
     if member.excludes:
         console.print(f"not together with: {', '.join(member.excludes)}", highlight=False)
     if member.confused_with:

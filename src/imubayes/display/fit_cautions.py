@@ -343,7 +343,7 @@ def conflict_line(conflict: PriorConflict) -> str:
     value, uncertainty = value_and_sd(conflict.value, conflict.sd)
     whose = "The prior decides" if conflict.decided_by == "prior" else "The prior is unusual for"
     return (
-        f"{whose} {conflict.name} = {value} ± {uncertainty} {pretty(conflict.unit)}: the data alone ask for {alone} ± "
+        f"{whose} {conflict.name} = {value} ± {uncertainty} {pretty(conflict.unit)}: the data alone give {alone} ± "
         f"{spread}, the prior is {mean} ± {sd}, {significant(conflict.distance, 2)} standard deviations apart. "
         f"{remedy(conflict)}"
     )

@@ -199,7 +199,7 @@ def _head(file: Path, read: Any, metadata: Any) -> Any:
     try:
         head = json.loads(text)
     except ValueError as error:
-        raise _damaged(file, "its metadata are no JSON") from error
+        raise _damaged(file, "its metadata are not JSON") from error
     if head.get("format") != SCHEMA_VERSION:
         raise input_error(
             f"the file has schema version {head.get('format')}",

@@ -197,12 +197,12 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
     looked = f"{counted(found.campaigns, 'campaign')} of {of}, {candidates}"
     lines = [text for each in found.findings for text in _finding_lines(each)]
     lines.append(_nothing_line(found))
-    lines.append(f"{looked}; {found.expected:g} missing effect expected before the data")
+    lines.append(f"{looked}; a priori {found.expected:g} missing effect is expected")
     head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for / against")
     beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
     rows = [_row(each.evidence, each) for each in found.findings]
     rows += [_row(each) for each in list(beside.values())[::-1][:_MOST_CANDIDATES]]
-    effects = Sheet("Effects, and candidates beside them", head, rows, left=(0, 1, 2, 3, 6)).with_few(0, 3, 4, 5)
+    effects = Sheet("Effects found, and further candidates", head, rows, left=(0, 1, 2, 3, 6)).with_few(0, 3, 4, 5)
     return Report(lines, [*map(_sides, found.findings), effects], [*map(str, issues), *_next(found)])
 
 

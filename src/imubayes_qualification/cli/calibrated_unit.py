@@ -230,7 +230,7 @@ def mission(
     latitude_deg
         Latitude of its beginning; by default that of the site.
     temperature
-        Temperature of the unit in degC, which such effects over temperature need; by default that of the constants.
+        Temperature of the unit in degC, for the effects that depend on it; by default that of the constants.
     rate_hz
         Rate of the samples; without it their noise is left out.
     aided_height

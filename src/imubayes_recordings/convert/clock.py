@@ -293,7 +293,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
             f"{1e3 * between:.3g} ms between)"
         )
         if options.clock == "recorded":
-            return _increasing(time), [f"{note}: --clock even takes them as even at {rate:.5g} Hz"]
+            return _increasing(time), [f"{note}: --clock even treats them as evenly spaced at {rate:.5g} Hz"]
         return even, [f"{note}: treated as even at {rate:.5g} Hz; --clock recorded keeps their times"]
     gaps = step > _GAP * median
     notes = []
@@ -311,7 +311,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
     if jitter > _JITTER:
         notes.append(
             f"the time jitters by {1e3 * jitter * median:.3g} ms, {100 * jitter:.3g} % of the sampling interval: "
-            "--clock even takes the samples as even"
+            "--clock even treats the samples as evenly spaced"
         )
     return _increasing(time), notes
 

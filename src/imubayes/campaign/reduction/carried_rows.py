@@ -434,5 +434,5 @@ def _notes(log: MotionLog, kept: np.ndarray, knocked: int, misfit: np.ndarray, g
     if knocked:
         notes.append(f"{knocked} windows left out: their force is more than {KNOCKED:g} standard deviations off")
     bias = ", ".join(f"{value:.3g}" for value in np.degrees(gyros.bias))
-    notes.append(f"first estimate of the gyros by gravity: bias ({bias}) deg/s")
+    notes.append(f"first estimate of the gyro biases from gravity: ({bias}) deg/s")
     return tuple(notes)

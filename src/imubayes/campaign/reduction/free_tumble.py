@@ -361,7 +361,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
     along = ", ".join(f"{part:.2f}" for part in axis + 0.0)
     return [
         f"all poses differ by turns about one axis of the body, ({along}): bias, scale factor and misalignments along "
-        "it stay open; add poses with this axis up and down"
+        "it remain undetermined; add poses with this axis up and down"
     ]
 
 

@@ -47,7 +47,7 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "standard_certificate": "the certificate of {of} has no number",
     "standard_validity": "the date until which the certificate of {of} is valid is not stated",
     "expired": "the certificate of {of} expired before the last run that used it (ISO/IEC 17025, 6.5)",
-    "unused": "no run used what this standard is claimed to trace — {of}",
+    "unused": "no run used the equipment for which this standard is claimed — {of}",
     "repeated_standard": "one standard is listed more than once — {of}",
     "shared_certificate": "certificates of several issuers have the same number — {of}",
     "own_number": "the certificate of {of} has the number of this certificate",

@@ -182,8 +182,8 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "document contains. They are listed if all together widen U by a twentieth or more. The campaign states no "
         "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
         "the model; wobble and encoder harmonics of a table can only be added as effects. A factor contains only "
-        "the part that the data leave undetermined of each error; annex A has the changes per unit of the whole error. "
-        "Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
+        "that part of each error that the data leave undetermined; annex A has the changes per unit of the whole "
+        "error. Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
         "limit. A limit passes only if all of these together could not carry the value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
@@ -226,7 +226,7 @@ def sensitivity_table(report: QualificationReport) -> Sheet | None:
         "Change of the estimate at T_ref that an error of this size causes while the model takes it as exact. For a "
         "cause with several parameters it is the root sum of squares of their changes. Other sizes act in proportion. "
         "If the data bound such an error, it adds less to u than this change times the plausible size: the factors of "
-        "the first page contain what remains. "
+        "the first page contain the remaining part. "
         "Quantities that the plausible size changes by less than a tenth of u are left out. For each quantity the "
         "channel with the largest change is given."
     )

@@ -135,7 +135,7 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
             f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
         )
     if adequacy.most_biasing is not None:
-        yield Paragraph(f"No interval includes any of them: {bias_clause(adequacy.most_biasing)}.")
+        yield Paragraph(f"No interval includes any of them. Worst case: {bias_clause(adequacy.most_biasing)}.")
     if adequacy.chi2 is not None:
         ratio = numbers.ratio_text(adequacy.chi2 / adequacy.dof) if adequacy.dof else numbers.NO_NUMBER
         yield Paragraph(
@@ -172,8 +172,8 @@ def _history(adequacy: record.Adequacy) -> Iterator[Block]:
             )
         )  # fmt: skip
     note = (
-        "Each model below the one it was made from. Verdict: of the diagnosis that led to it. χ² is at the noise "
-        "known beforehand. The more models were tried, the more of the agreement is selection."
+        "Each model is below the one from which it was made. Verdict: that of the diagnosis which led to it. χ² is at "
+        "the noise known beforehand. The more models were tried, the more the agreement is due to selection."
     )
     head = ("model", "verdict before", "χ²", "χ²/ν", "")
     yield Sheet("Models tried", head, rows, (0, 1, 4), note=note)
@@ -239,7 +239,7 @@ def left_out_section(found: record.Omissions) -> Iterator[Block]:
     if found.outliers:
         items.append(
             f"The diagnosis found {counted(found.outliers, 'outlier')}. Its search excludes "
-            f"{agreeing(found.outliers, 'it', 'them')}, the fit does not."
+            f"{agreeing(found.outliers, 'it', 'them')}; the fit does not."
         )
     if found.nuisance_parameters:
         items.append(
