@@ -71,7 +71,7 @@ def test_the_answer_comes_first(capsys):
         "imubayes add gyro_scale_asymmetry gyro_scale_quadratic --to R --out R-all",
     ]
     assert "93 % run offsets" in out
-    assert "lever_arm (turning)" in " ".join(out.split())
+    assert "a run that turns (lever_arm)" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

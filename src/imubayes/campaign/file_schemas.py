@@ -244,7 +244,7 @@ class RunEntry(_Entry):
     name: Name
     """of the run in results, unique in the campaign"""
     procedure: str
-    """test procedure: rate_table, dividing_head, …; `imubayes check` lists them"""
+    """test procedure: rate_table, dividing_head, …; `imubayes new FOLDER` without options lists them"""
     file: FileWithin
     """CSV or Parquet file of the run table, beside campaign.toml"""
     table: str | None = None

@@ -133,7 +133,7 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
     unnamed = [table.topic.name for table in tables if table.topic.name and not table.topic.named]
     kinds = f"; or the kind of a topic: --topic acc={unnamed[0]} or --topic gyro={unnamed[0]}" if unnamed else ""
     return Issue(
-        f"no column has a name of an accelerometer or gyro{why}",
+        f"no column has the name of an accelerometer or gyro{why}",
         ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
         f"time_s, ax, ay, az, gx, gy, gz and similar names; found in {'; '.join(listed)}",
         f"state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax, ay, az, gx, gy, gz){kinds}",

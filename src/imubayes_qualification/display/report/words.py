@@ -47,7 +47,7 @@ NO_DECISION: dict[NoDecision, str] = {
     "probability": "a probability that the rule needs is withheld",
     "not_determined": "less than half of the information came from the data",
     "taken_as_exact": "uncertainties of the equipment that the model takes as exact could put it beyond the limit",
-    "obstacle": "see above",
+    "obstacle": "the unit cannot pass, for a reason listed separately",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
