@@ -172,7 +172,7 @@ def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "Hierar
     with progress() as tell:
         results, model_hash = _of_one_model(results, model_hash)
         trusting(kept_model(results, model_hash), trust)
-        tell("compiling for the first units")
+        tell("compiling for the first campaigns")
         return hierarchical_fit(results, model_hash, progress=tell)
 
 
