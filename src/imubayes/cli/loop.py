@@ -67,7 +67,7 @@ def add(
         Names of effects or noise components; `imubayes effects` lists them. A Python file, as `imubayes diagnose
         --python` prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
     to
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     out
         Result folder to write.
     channels
@@ -296,7 +296,7 @@ def remove(
     effects
         Names of effects or noise components of the model, or a Python file that defines some of them.
     source
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     out
         Result folder to write.
     """
@@ -325,7 +325,7 @@ def refit(
     Parameters
     ----------
     result
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     model
         Its model file, edited: RESULT/model.toml is a copy to begin with.
     out

@@ -37,7 +37,7 @@ class UnknownHeading(MotionEffect):
     """Direction of north that is not stated: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
 
     The components have the mean and the covariance of a uniformly distributed direction, ½ each. Terms that are linear
-    in them are correct to second moments for every direction, and no angle of ±180° has to be searched.
+    in them have correct first and second moments for every direction, without a search over an angle of ±180°.
     """
 
     name = "unknown_heading"
@@ -195,7 +195,7 @@ class LeverArm(PlaceEffect):
 class RotationCentre(PlaceEffect):
     """Acceleration Ω×(Ω×r) + dΩ/dt×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
 
-    All accelerometers have it in common, and each run another: the place of the unit on the wheel is unknown.  The
+    r is common to all accelerometers, and differs between runs: the place of the unit on the wheel is unknown.  The
     component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.
     """
 

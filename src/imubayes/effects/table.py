@@ -97,7 +97,7 @@ class MiddleAxisZero(AxisAngleZero):
 
 
 class InnerAxisZero(AxisAngleZero):
-    """True angle of the inner axis = φ + δ: of a table of one axis that axis, of a centrifuge the platform."""
+    """True angle of the inner axis = φ + δ: the only axis of a one-axis table, or the platform of a centrifuge."""
 
     name = "inner_axis_zero"
     needs = ("table_angle",)
@@ -176,8 +176,8 @@ class MiddleAxisIntersection(OuterAxisIntersection):
 class PlatformTilt(OuterAxisEffect):
     """Tilt of the platform of a centrifuge, whose axis is nominally parallel to the arm's: C · exp([x, y, 0]×).
 
-    x and y are about the platform's axes at angle 0.  Between axes that are not parallel squareness and zeros say the
-    same, and the tilt is 0.
+    x and y are about the platform's axes at angle 0.  If the two axes are not parallel, squareness and zeros describe
+    the same error, and the tilt is 0.
     """
 
     name = "platform_tilt"
@@ -220,7 +220,7 @@ class ArmError(OuterAxisEffect):
 class TableAxisTilt(MotionEffect):
     """Small rotation of the whole table about its own x and y: C_nt0 = nominal C_nt0 · exp([x, y, 0]×).
 
-    Of several axes it is that of the outer one, against the vertical and north.
+    A table of several axes has that of its outer axis, relative to the vertical and north.
     """
 
     name = "table_axis_tilt"

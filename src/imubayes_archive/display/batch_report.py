@@ -69,8 +69,8 @@ def drift_report(found: Drifts) -> Report:
     rows = [*filter(lambda each: each.significant, found.parameters), *others[:_MOST_OTHERS]]
     sheet = Sheet(
         title, ("parameter", "per year", "unit", "pairs", "changed", "p", "in units"), list(map(_drift_row, rows)),
-        left=(0, 2, 6), note="changed: pairs of consecutive calibrations with a significant change; per year: 0.03(11) is "
-        "0.03 ± 0.11; log: of the natural logarithm",
+        left=(0, 2, 6), note="changed: pairs of consecutive calibrations with a significant change; per year: 0.03(11) "
+        "is 0.03 ± 0.11; log: of the natural logarithm",
     )  # fmt: skip
     told = [
         f"{counted(changed, 'drifting parameter')} of {len(found.parameters)}; false discovery rate "

@@ -306,7 +306,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
         even = _even(time, gaps)
         return even, [
             *notes,
-            f"samples are treated as evenly spaced at {1 / float(np.median(np.diff(even))):.6g} Hz, as asked",
+            f"samples are treated as evenly spaced at {1 / float(np.median(np.diff(even))):.6g} Hz, as requested",
         ]
     if jitter > _JITTER:
         notes.append(
