@@ -145,7 +145,7 @@ class PoseAttitude(BodyRotation):
     """Rotation of each pose from its first estimate, C_nb = estimated C_nb · exp([δ]×): a mounting of unknown rotation.
 
     The prior, 10°, is an order of magnitude wider than the error of the first estimate, which rests on nominal
-    sensors good to some percent.
+    sensors good to a few percent.
     """
 
     name = "pose_attitude"

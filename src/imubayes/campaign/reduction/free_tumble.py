@@ -60,7 +60,7 @@ def check_axes(
     factor, rest = _common_factor(recording, poses)
     if rest < _BETTER * angle:
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
-        allowed = "gyros that read the turns by their nominal scale, within some percent"
+        allowed = "gyros that read the turns by their nominal scale, within a few percent"
         remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
         far = max(factor, 1 / factor)
         severity = "error" if far > _OTHER_RANGE else "warning"

@@ -135,7 +135,7 @@ def statements(report: QualificationReport, found: certificates.Certificate) -> 
     yield (
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
-        "the quantity corresponds to a coverage probability of 95 %; no degrees of freedom are to be applied to it. It "
+        "the quantity corresponds to a coverage probability of 95 %; no degrees of freedom may be applied to it. It "
         "was evaluated by JCGM 100 and JCGM 101 and contains no contribution of long-term stability. This certificate "
         "may be reproduced only in full."
     )

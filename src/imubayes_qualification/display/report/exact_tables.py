@@ -230,7 +230,7 @@ def sensitivity_table(report: QualificationReport) -> Sheet | None:
         "Quantities that the plausible size changes by less than a tenth of u are left out. For each quantity the "
         "channel with the largest change is given."
     )
-    title = "Change of the results per unit of what U omits"
+    title = "Change of the results per unit of each contribution that U omits"
     return without_empty_columns(Sheet(title, head, rows, (0, 1, 2, 3, 7), note=note))
 
 
