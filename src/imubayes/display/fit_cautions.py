@@ -70,7 +70,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     elif not any(each.excessive and each.source == "sisters" for each in own):
         meaning += ", or the prior is too narrow for this unit"
     more = f". The same holds for {listed(others, _MOST_NAMED)}" if others else ""
-    return f"{worst} is {factors}: {meaning}{more}"
+    return f"{worst} is {factors}. {meaning[0].upper()}{meaning[1:]}{more}"
 
 
 def _factor(each: NoiseComparison) -> str:

@@ -47,7 +47,7 @@ class EffectSpec:
 
 
 class SingleRunEffect(Record):
-    """An effect that is what differs from run to run, on channels of one run each: it is not in the bound model."""
+    """An effect that differs from run to run, on channels with one run each: it is left out of the bound model."""
 
     effect: str
     channels: tuple[str, ...]
@@ -62,9 +62,9 @@ class UncertainEquipment(Record):
 
     Attributes
     ----------
-    effect, parameter : what describes it, and its parameter as the model would name it.
+    effect, parameter : effect that describes it, and its parameter as the model would name it.
     unit, size : its standard uncertainty.
-    stated : whether the campaign states that; else it is one that is plausible, as of normal gravity.
+    stated : whether the campaign states the size; otherwise it is a plausible one, as for normal gravity.
     """
 
     effect: str

@@ -1,8 +1,8 @@
 """Commands for a calibrated unit: `imubayes apply`, `carrier`, `export`, `mission` and `report`.
 
-`apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of what
-carries a rotating unit, with the rotation taken out.  `export` writes constants for the computer on board, `mission`
-says what they are worth in navigation.  `report` writes the uncertainty report for qualification.
+`apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of the
+carrier of a rotating unit, without the rotation.  `export` writes constants for the computer on board, `mission`
+computes the navigation errors due to their uncertainty.  `report` writes the uncertainty report for qualification.
 """
 
 from pathlib import Path
