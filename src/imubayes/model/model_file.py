@@ -26,7 +26,7 @@ class EffectSpec:
     per : sharing of values (channel, all, run, mounting); None for the default of the effect.
     prior : parameter → prior as written.
     options : fixed settings of the effect.
-    optional : drop it where no run can show it or the unit lacks the channel, instead of refusing the model.
+    optional : drop it if no run can show it or the unit lacks the channel, instead of refusing the model.
     where : file and key, for errors.
 
     Examples

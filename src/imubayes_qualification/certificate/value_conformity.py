@@ -37,7 +37,7 @@ class ConformityStatement(Presented):
     acceptance : estimates with which a unit is delivered; None if none is.
     conformance : p_c, the probability that the quantity is within the limits; None if it is withheld.
     consumer_risk, producer_risk : specific risks, of the decision that was taken.
-    global_consumer_risk, global_producer_risk : shares of all units tested, where the production is known.
+    global_consumer_risk, global_producer_risk : shares of all units tested, if the production is known.
 
     Examples
     --------

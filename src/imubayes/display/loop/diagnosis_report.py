@@ -48,7 +48,10 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         "Coefficient: the most significant one; a shape parameter, such as a time constant, has its most probable "
         "value. Δχ²: predicted drop at the noise known beforehand if the effect alone is added. "
     )
-    odds = "Log odds: natural logarithm of the odds of the effect alone against nothing missing. "
+    odds = (
+        "Log odds: natural logarithm of the odds of the effect alone against nothing missing; beside a small "
+        "probability, a large value means that another effect explains the same residual better. "
+    )
     after = (
         "Probability: the sum over all explanations that contain the effect. These runs cannot distinguish the "
         "effects of one group."
