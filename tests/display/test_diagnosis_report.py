@@ -352,7 +352,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
     assert contradiction_text((sisters, scatter)) == (
         "run_scatter.tau[gx] is 38 times that of gy and gz by the means of their runs and 2.6 times the "
-        "scale of its prior: this scatter between runs absorbs something that the model lacks"
+        "scale of its prior. This scatter between runs absorbs something that the model lacks"
     )
     assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
 
