@@ -237,7 +237,7 @@ CONDITIONS: dict[str, str] = {
     "posed": "a free tumble",
     "driven": "a table that the gyro drives",
     "unknown_heading": 'a table with azimuth_deg = "unknown", or a record at rest without a table',
-    "unknown_level": "such a table without axis_uncertainty_arcsec, or a record at rest without a table",
+    "unknown_level": 'azimuth_deg = "unknown" without axis_uncertainty_arcsec, or a record at rest without a table',
     "directions": "positions named by directions of the site (i_axis, o_axis)",
     "stand": "a run",
     "table": "a run on a table",
