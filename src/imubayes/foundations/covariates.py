@@ -261,3 +261,11 @@ def remedy(need: str) -> str:
     if need in COVARIATES:
         return COVARIATES[need].source or COVARIATES[need].column
     return CONDITIONS.get(need, need)
+
+
+def effects_by_need(lacking: Iterable[tuple[str, Iterable[str]]]) -> str:
+    """Return what would bring out effects that no run shows: each need in words, with its effects."""
+    by_need: dict[str, list[str]] = {}
+    for effect, needs in lacking:
+        by_need.setdefault("; ".join(map(remedy, needs)) or "a run that responds", []).append(effect)
+    return "; ".join(f"{need} ({', '.join(effects)})" for need, effects in by_need.items())

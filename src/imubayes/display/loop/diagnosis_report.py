@@ -19,7 +19,7 @@ from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop import diagnosis_sentences as sentences
 from imubayes.display.numbers_and_labels import command_line
-from imubayes.foundations.covariates import remedy
+from imubayes.foundations.covariates import effects_by_need
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.wording import counted
 
@@ -84,11 +84,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
     """Return the effects that these runs cannot show, and what absorbs them."""
     hidden = [each for each in found.undetectable if each.reason != "not_supplied"]
     absent = [each for each in found.undetectable if each.reason == "not_supplied"]
-    by_need: dict[str, list[str]] = {}
-    for each in absent:
-        need = "; ".join(map(remedy, each.needs)) or "a run that responds to it"
-        by_need.setdefault(need, []).append(each.effect)
-    without = [f"{need} ({', '.join(effects)})" for need, effects in by_need.items()]
+    without = effects_by_need((each.effect, each.needs) for each in absent)
     rows = []
     for each in hidden:
         absorbed = ", ".join(f"{numbers.percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
@@ -101,7 +97,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
             "most affected parameter if the effect is present at its largest typical size."
         )
-    note += f" Not all runs supply the inputs of further effects: {'; '.join(without)}." if without else ""
+    note += f" Not all runs supply the inputs of further effects: {without}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 

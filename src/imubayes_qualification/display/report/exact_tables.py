@@ -9,6 +9,7 @@ from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
 from imubayes.foundations.quantity_names import QuantityName
+from imubayes.foundations.wording import counted
 from imubayes_qualification.budgets.taken_as_exact import OMITTED, ExactInput
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.document import without_empty_columns
@@ -268,8 +269,8 @@ def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     causes = dict.fromkeys(_named(cause) for each in found if each.kind == kind for cause in each.causes)
     if not any(each.kind == kind for each in found):
         return ""
-    named = f", of {', '.join(causes)}" if causes else ""
-    return f" {BESIDE}: known contributions{named}, would multiply u and U of this line, which omit them (first page)."
+    named = f" ({', '.join(causes)})" if causes else ""
+    return f" {BESIDE}: factor by which known contributions{named} would multiply u and U of this line (first page)."
 
 
 def _factors(found: Sequence[Omission]) -> str:
@@ -279,7 +280,7 @@ def _factors(found: Sequence[Omission]) -> str:
 def _range(found: Sequence[Omission]) -> str:
     ratios = sorted(each.ratio for each in found)
     ends = dict.fromkeys(ratio_text(each) for each in (ratios[0], ratios[-1]))
-    return f"× {' … '.join(ends)} ({len(found)}, see there)"
+    return f"× {' … '.join(ends)} ({counted(len(found), 'factor')} in that table)"
 
 
 def _named(each: ExactInput) -> str:

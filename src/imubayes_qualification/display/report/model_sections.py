@@ -8,6 +8,7 @@ from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, set_aside
 from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
+from imubayes.foundations.covariates import effects_by_need
 from imubayes.foundations.wording import agreeing, counted
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.certificate.report_subject import ReportedRun, ReportedTable
@@ -266,8 +267,8 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         "Errors that the equipment and all runs share and that no prior of the model describes.",
     ]
     if scope.not_supplied:
-        named = enumerated([f"{effect} ({needs or 'no run responds'})" for effect, needs in scope.not_supplied], 40)
-        items.append(f"Effects that no run could show, with the input that a run would have to supply: {named}.")
+        named = effects_by_need((effect, filter(None, needs.split(", "))) for effect, needs in scope.not_supplied)
+        items.append(f"Effects that no run could show, by the input that a run would have to supply: {named}.")
     if scope.from_priors:
         items.append(
             f"Known from priors alone: {counted(len(scope.from_priors), 'quantity')}, "
