@@ -239,7 +239,7 @@ class ReferenceBias(ReferenceGyroEffect):
 
     name = "reference_bias"
     order = -5
-    confused_with = "the bias of the gyro along the same axis: exactly, unless other runs determine the latter"
+    confused_with = "the bias of the gyro along the same axis (exactly, unless other runs determine that bias)"
     reference = "IEEE Std 952, bias; of the reference, its certificate"
     x: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body x")
     y: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body y")
@@ -253,7 +253,7 @@ class ReferenceScaleFactor(ReferenceGyroEffect):
     """Reading of each axis of the reference = (1 + s) · true rate."""
 
     name = "reference_scale_factor"
-    confused_with = "a scale factor of the gyro along the same axis: exactly, except through the priors"
+    confused_with = "a scale factor of the gyro along the same axis (exactly, except for the priors)"
     reference = "IEEE Std 952, scale factor error; of the reference, its certificate"
     x: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body x")
     y: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body y")

@@ -412,8 +412,8 @@ def _inconsistent(misfit: np.ndarray, gravity: float, file: str) -> list[Finding
     return [
         Finding(
             "axes_do_not_fit", "warning", "",
-            f"gravity carried by the gyros from window to window is off by {np.degrees(np.arcsin(min(angle, 1))):.3g} "
-            "deg for half of the windows",
+            "gravity propagated by the gyros from window to window is off by "
+            f"{np.degrees(np.arcsin(min(angle, 1))):.3g} deg or more in half of the windows",
             file, "axes of one right-handed system, for gyros and accelerometers alike; scales within a few percent",
             "check input_axis, scale and per of all channels",
         )
