@@ -205,7 +205,7 @@ def _head(file: Path, read: Any, metadata: Any) -> Any:
             f"the file has schema version {head.get('format')}",
             str(file),
             f"version {SCHEMA_VERSION}",
-            "read it with the imubayes that wrote it, or pack the campaign again",
+            "read it with the version of imubayes that wrote it, or pack the campaign again",
         )
     return head
 

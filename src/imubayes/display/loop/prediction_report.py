@@ -192,7 +192,7 @@ def _compared_lines(found: Repeatability) -> Iterator[str]:
     for each in [each for each in found.quantities if each.moved][:3]:
         yield _moved(each, found.days)
     if found.verdict == "differ" and not any(each.moved for each in found.quantities):
-        yield "No single quantity moved by more than chance explains; together they did."
+        yield "No single quantity moved significantly, but together they did."
     yield from _common(found.quantities)
     yield _pooling(found)
     yield from _due(found)
