@@ -230,7 +230,7 @@ def _check_measured(measured: object) -> None:
         what = f"a {type(measured).__name__}"
     if what:
         allowed = (
-            "what propagate found; an estimate of a report; (estimate, standard uncertainty); or "
+            "a result of propagate; an estimate of a report; (estimate, standard uncertainty); or "
             f"{rules.LEAST_EFFECTIVE:.0f} draws or more"
         )
         raise input_error(f"{what} is not a measured value", "measured", allowed, "give one of these")

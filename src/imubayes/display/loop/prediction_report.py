@@ -241,7 +241,7 @@ def _due(found: Repeatability) -> Iterator[str]:
         rate, sd = value_and_sd(each.rate, each.rate_sd)
         drift = f"{each.name} drifts by {rate} ± {sd} {pretty(each.unit)} per year"
         if each.days is None:
-            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between both."
+            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between the two."
         elif each.days == 0:
             yield f"{drift} and is not within its limits now, with k = 2: calibration is due."
         else:

@@ -57,7 +57,7 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "issued_early": "the date of issue is before the last run",
     "validity": "the fit did not converge, or no diagnosis found its model adequate (ISO/IEC 17025, 7.2.2 and 7.7.1)",
     "cmc": "the laboratory states an accreditation but no capabilities (CMC), the lower limit of U (ILAC-P14)",
-    "omitted": "U omits known contributions, which are on the first page, to {of} (ISO/IEC 17025, 7.6.1)",
+    "omitted": "U of {of} omits known contributions, which are listed on the first page (ISO/IEC 17025, 7.6.1)",
 }
 
 
