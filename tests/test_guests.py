@@ -59,7 +59,7 @@ def test_the_loop_runs_without_the_packages_beside_the_kernel(tmp_path):
     *_, steps, option, names, commands, loaded = ended.stderr.splitlines()
     assert steps == "0 0 0 0 0", ended.stderr
     assert option == "2"
-    assert "is answered by a package that is not installed" in ended.stderr
+    assert "belongs to a package that is not installed" in ended.stderr
     assert names == "True False False"
     assert {"fit", "diagnose", "add"} <= set(commands.split())
     assert not {"report", "batch", "new", "explore", "noise"} & set(commands.split())

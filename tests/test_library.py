@@ -105,7 +105,7 @@ def changed(**entries: Any) -> dict[str, Any]:
         (CONTENT, {}, ["run 'tumble' has no columns", "run[0].name"]),
         (CONTENT, {"tumbel": columns()}, ["there is no run 'tumbel'", "tumble"]),
         (CONTENT, {"tumble": 5}, ["of type int", "runs['tumble']"]),
-        (CONTENT, {"tumble": {**columns(), "ax": outputs()[:3]}}, ["columns of other shapes: 'ax' 3"]),
+        (CONTENT, {"tumble": {**columns(), "ax": outputs()[:3]}}, ["columns of different shapes: 'ax' 3"]),
         (CONTENT, {"tumble": {**columns(), "axx": outputs()}}, ["column 'axx'", "columns of run 'tumble'"]),
         (CONTENT, {"tumble": {**columns(), "ax": ["a"] * len(ANGLE)}}, ["column 'ax' holds string, not numbers"]),
         (CONTENT, {"tumble": {**columns(), "ax": 10 * outputs()}}, ["channel 'ax' is 10 times too large"]),

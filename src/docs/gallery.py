@@ -146,7 +146,7 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
         for left in lefts
     ]  # fmt: skip
     none = "At the largest size met in practice, no run that is drawn here shows it.\n"
-    header = ("procedure", "significance", "retained", "taken up by", "imitated by")
+    header = ("procedure", "significance", "retained", "absorbed by", "imitated by")
     parts = [_filled("left", figures="\n".join(figures) or none, shown=f"{SHOWN:g}", table=table(header, rows))]
     runs = [
         (f"`{left.procedure}`", _links([left.imitators[0][0]]), *_separating(left.separating))

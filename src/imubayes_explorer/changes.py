@@ -98,7 +98,7 @@ def _adding_formula(model: OpenModel, wanted: ChangeWanted) -> Change:
     """Return the change of writing an effect for the formula of a residual, and adding it on its channel."""
     channel, found = wanted.formula_of, model.view.formula(wanted.formula_of, wanted.drawn)
     if found is None:
-        raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with one",
+        raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with a formula",
                           "choose another channel")  # fmt: skip
     folder = folder_for(model, "found_shape")
     file = folder.with_name(f"{folder.name}.py")

@@ -34,7 +34,7 @@ def edited_model(model: OpenModel, wanted: ChangeWanted) -> EditedModel:
     if not wanted.aside:
         raise input_error("no change is named", "change", "effects, a prior, or readings", "choose one")
     if not wanted.reason.strip():
-        raise input_error("no reason is given", "set aside", "why these readings do not count", "state it")
+        raise input_error("no reason is given", "set aside", "the reason for leaving these readings out", "state it")
     spec = with_aside(model, model.table.chosen(wanted.aside), wanted.reason.strip())
     return EditedModel("set readings aside", "aside", spec)
 

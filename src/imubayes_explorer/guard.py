@@ -56,7 +56,7 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._application(scope, receive, send)
             return
-        refusal = self._refusal(scope) if scope["type"] == "http" else "only HTTP is spoken here"
+        refusal = self._refusal(scope) if scope["type"] == "http" else "this server answers HTTP only"
         if refusal:
             answer = PlainTextResponse(f"refused: {refusal}\n", 403)
             answer.raw_headers.extend(self._headers)
@@ -77,10 +77,10 @@ class Guard:
         headers: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
             if name in headers and name in (b"host", b"origin"):
-                return f"two headers {name.decode()}"
+                return f"the header {name.decode()} is given twice"
             headers[name] = value
         if headers.get(b"host") not in self._hosts:
-            return "this name is not that of the server"
+            return "the request names another server"
         origin = headers.get(b"origin")
         if origin is not None and origin not in self._origins:
             return "the request comes from another page"

@@ -51,5 +51,5 @@ def nowhere(fit: Fit, where: str) -> InputError:
     """Return that a fit stands nowhere finite; `where` names its folder."""
     return input_error(
         fit.message or "the fit did not converge", where, "a fit that converged",
-        "correct what kept it from converging, and fit again",
+        "remove the cause of the failure to converge, and fit again",
     )  # fmt: skip

@@ -202,7 +202,9 @@ class LinearView(KnownNoiseView):
         if effect not in self._white:
             if effect not in self.variants:
                 allowed = closest_first(effect, self.variants)
-                raise input_error(f"'{effect}' is not a cause here", "preview", allowed, "choose one of the list")
+                raise input_error(
+                    f"'{effect}' is not in the list of causes", "preview", allowed, "choose one of the list"
+                )
             posterior = self.explained.posterior
             columns = posterior.columns_of(self.variants[effect], self.explained.responses)[1]
             self._white[effect] = columns, whitened_columns(self.fit.model.problem, self.point.h, columns)

@@ -86,7 +86,7 @@ def drawn_text(found: DrawnFormula) -> str:
     drop, odds = (sum(each) for each in zip(*((t.delta_chi2, t.log_odds) for t in found.terms), strict=True))
     runs = (
         "Only one run shows it, so that none can be left out." if found.held_out is None
-        else f"Predicted from all others, {found.better} of {counted(found.runs, 'run')} "
+        else f"Each run predicted from the others: {found.better} of {counted(found.runs, 'run')} "
         f"{'is' if found.better == 1 else 'are'} predicted better, Δχ² {significant(found.held_out)} in all."
     )  # fmt: skip
     return f"Drawn: {found.shape} ({like}). Δχ² {significant(drop)}, log odds {significant(odds)}. {runs}"

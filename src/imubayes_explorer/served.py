@@ -20,7 +20,7 @@ class Served:
     Parameters
     ----------
     application : makes it from a token and a port.
-    port : of the server; any free one where 0.
+    port : of the server; any free one if 0.
 
     Attributes
     ----------

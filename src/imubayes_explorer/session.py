@@ -313,7 +313,7 @@ class Session:
 
         with self._lock:  # two windows may ask at once
             if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
-                raise input_error("a change is at work already", "this session", "one change at a time",
+                raise input_error("another change is running", "this session", "one change at a time",
                                   "wait for it, or cancel it")  # fmt: skip
             number = self.worker.submit("change", change.what, model.id, work, change.adding)
             self._change = number, change

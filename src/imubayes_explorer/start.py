@@ -84,8 +84,8 @@ def explore(
     ----------
     place : a result, its folder, or the folder of a campaign; the example `hidden-gyro` if None.
     model : model file to fit a campaign with, or the name of a shipped one.
-    out : result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened where it is there already.
-    port : of the server; any free one where 0.
+    out : result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened if it exists.
+    port : of the server; any free one if 0.
     browser : whether to open the page in the browser.
 
     Raises

@@ -258,7 +258,7 @@ def test_the_model_of_a_batch_is_kept_with_all_files_that_it_names(own, many, tm
     file = model_folder(tmp_path / "out", key) / "model.toml"
     for source in (own, tmp_path / "noise.toml", own.parent / "effects" / "mine.py"):
         source.unlink()
-    with pytest.raises(InputError, match=r"'mine\.py' is Python code that came along"):
+    with pytest.raises(InputError, match=r"'mine\.py' is Python code that came with the input"):
         read_carried_model(file)
     trust(file)
     kept = read_carried_model(file)
@@ -292,7 +292,7 @@ def test_questions_asked_of_a_batch_with_an_effect_of_the_users_own(own, tmp_pat
     monkeypatch.setattr(trusted_files, "_ran", set())  # as in another process
     for words in (("diagnose", out), ("prior", out, "--out", following)):
         status, text = said(*words)
-        assert (status, "'mine.py' is Python code that came along" in text) == (2, True)
+        assert (status, "'mine.py' is Python code that came with the input" in text) == (2, True)
     assert not following.exists()
     monkeypatch.setattr("imubayes_archive.unit_fits.unit_scores.replacing", _full)
     status, text = said("diagnose", out, "--trust")

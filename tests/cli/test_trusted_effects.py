@@ -82,7 +82,7 @@ def test_a_received_effect_is_not_run(received, tmp_path, capsys, words):
     given = [word.replace("OUT", places["OUT"]) if word.startswith("OUT") else places.get(word, word) for word in words]
     assert run(given) == 2
     said = capsys.readouterr().err
-    assert "'mine.py' is Python code that came along" in said
+    assert "'mine.py' is Python code that came with the input" in said
     assert "--trust" in said
     assert not (received / "was-run").exists()
     assert not (tmp_path / "out").exists()

@@ -71,7 +71,7 @@ def test_the_answer_comes_first(capsys):
         "imubayes add gyro_scale_asymmetry gyro_scale_quadratic --to R --out R-all",
     ]
     assert "93 % run offsets" in out
-    assert "lever_arm (turning)" in " ".join(out.split())
+    assert "a run that turns (lever_arm)" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(
@@ -328,7 +328,8 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
     said = sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
     clause = (
-        "No interval includes it: gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, would bias "
+        "No interval includes it. Worst case: gravity_anomaly.anomaly[all] at its largest typical size, 300 µg, "
+        "would bias "
         "accel_bias.bias[ax] by 663 standard deviations."
     )
     assert (clause in said) == told
@@ -351,7 +352,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
     assert contradiction_text((sisters, scatter)) == (
         "run_scatter.tau[gx] is 38 times that of gy and gz by the means of their runs and 2.6 times the "
-        "scale of its prior: this scatter between runs absorbs something that the model lacks"
+        "scale of its prior. This scatter between runs absorbs something that the model lacks"
     )
     assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
 

@@ -335,7 +335,7 @@ def test_a_million_readings_are_drawn_within_half_a_second():
         ("points", {"model": "MODEL", "channel": "<b>gz</b>", "x": "reading"}, "no channel '<b>gz</b>'"),
         ("points", {"model": "MODEL", "channel": "gz", "x": "../x"}, "no abscissa"),
         ("points", {"model": "MODEL", "channel": "gz", "x": "reading", "y": "none"}, "known"),
-        ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is not a cause here"),
+        ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is not in the list of causes"),
         ("change", {"model": "MODEL"}, "no change is named"),
         ("selection", {"model": "MODEL", "brushes": [{}] * 201}, "at most 200"),
     ],

@@ -62,7 +62,7 @@ def test_an_effect_that_no_run_shows_is_refused_with_what_there_is():
     only_ramps = campaign().only("ramp")
     (problem,) = refused(effect("lever_arm"), among=only_ramps)
     assert "no run can show 'lever_arm'" in problem.what
-    assert "turning" in problem.what
+    assert "it needs a run that turns" in problem.what
     assert "converter_temperature" in problem.allowed
 
 

@@ -38,6 +38,11 @@ def test_at_rest_the_earth_turns_a_gyro():
         assert missing[effect] == ("turning",), effect
     assert missing["gyro_output_axis_acceleration"] == ("acceleration",)
     assert missing["reference_bias"] == ("reference",)
+    # What a table with a stated azimuth lacks is not a free tumble.
+    assert missing["unknown_heading"] == ("unknown_heading",)
+    assert missing["unknown_level"] == ("unknown_level",)
+    assert missing["carried_closure"] == ("carried",)
+    assert missing["pose_attitude"] == ("free tumble",)
 
 
 def test_only_what_was_not_recorded_or_is_not_felt_is_missing():

@@ -202,7 +202,7 @@ def test_statements_are_those_of_the_pages():
 
     whole = said()
     for text in (
-        "Decision rule: ILAC-G8 non-binary, w = U (passed within the limits less w, failed beyond them by more than w",
+        "Decision rule: ILAC-G8 non-binary, w = U (pass within the limits less w, fail beyond the limits plus w",
         "K_0 of ax from 10 °C to 45 °C: 100.0 ± 4.0, limits −101 … 101 µg",
         "metrologically traceable to the SI through the standards used", "Adjustment: not stated.",
         "1 g = 9.790000 m/s²", "2027-03-01", "NMI",

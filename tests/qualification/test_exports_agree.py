@@ -83,5 +83,5 @@ def test_the_page_rounds_one_number_once_and_names_no_degrees_of_freedom(report)
     page = re.sub(r"<style>.*?</style>", "", html_page(report_document(report)), flags=re.DOTALL)
     said = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
     assert rounded_otherwise(report, said) == []
-    assert "no degrees of freedom belong to it" in said
+    assert "it has no degrees of freedom" in said
     assert "ν" not in said.replace("χ²/ν", "")

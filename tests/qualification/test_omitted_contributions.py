@@ -104,15 +104,17 @@ def test_every_stated_quantity_that_omits_something_has_its_factor():
     assert found == pytest.approx({"ax": math.sqrt(2), "ax,up": math.sqrt(10), SEAT: 2.0} | converters)
     bias, angles, linearity, others, drift = rows(omitted_table(omissions(report())))
     assert [linearity[:2], drift[:2]] == [
-        ("converters", "× 4.00 (1, see there)"),
-        ("converters", "× 3.00 (1, see there)"),
+        ("converters", "× 4.00 (1 factor in that table)"),
+        ("converters", "× 3.00 (1 factor in that table)"),
     ]
     assert bias == ("K_0", "ax × 1.41", "0.50 → 0.71", "µg", "encoder harmonic (5.0 arcsec)")
     assert angles[0] == "true mounting angles"
     assert angles[-1].startswith("table wobble (5.0 arcsec), encoder")
-    assert others[:2] == ("others of the result table", "× 2.00 (1, see there)")
+    assert others[:2] == ("others of the result table", "× 2.00 (1 factor in that table)")
     said = omitted_note(omissions(report()), "angle")
-    assert said.startswith(" U omits: known contributions, of table wobble, encoder harmonic, would multiply u and U")
+    assert said.startswith(
+        " U omits: factor by which known contributions (table wobble, encoder harmonic) would multiply"
+    )
     assert omitted_note(omissions(report()), "combination") == ""
 
 
@@ -143,7 +145,7 @@ def test_errors_that_the_data_bound_do_less_than_their_changes_suggest():
     assert changes is not None
     assert factors is not None
     assert "the data bound such an error" in changes.note
-    assert "the part that the data leave undetermined" in factors.note
+    assert "that part of each error that the data leave undetermined" in factors.note
     assert "in proportion" not in factors.note
 
 

@@ -223,7 +223,7 @@ def test_lines_that_a_number_distinguishes_ask_which_is_which(tmp_path: Path, tu
     ) as asked:
         read_recordings(files, latitude_deg=48)
     assert asked.value.issues[0].remedy == "state it: --topic acc=1 --topic gyro=4"
-    with pytest.raises(InputError, match="'baro' of 'baro=1' is no kind of sensor"):
+    with pytest.raises(InputError, match="'baro' of 'baro=1' is not a kind of sensor"):
         read_recordings(files, latitude_deg=48, topic=["baro=1"])
 
 

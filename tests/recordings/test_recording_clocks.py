@@ -63,7 +63,7 @@ def test_packets_are_taken_as_even(tmp_path: Path) -> None:
     lost, notes = read(tmp_path, arrival, keep=(place < 500) | (place >= 520))
     assert np.diff(lost["time_s"]).max() == pytest.approx(0.21, rel=0.02)
     kept, notes = read(tmp_path, arrival, keep=keep, clock="recorded")
-    assert "--clock even takes them as even at 100" in notes
+    assert "--clock even treats them as evenly spaced at 100" in notes
     np.testing.assert_allclose(kept["time_s"][1], 2e-4, atol=1e-9)
 
 

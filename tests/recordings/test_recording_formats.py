@@ -233,7 +233,7 @@ def test_a_choice_of_topics_is_asked_for(tmp_path: Path, expected: Run) -> None:
 
 def test_what_cannot_be_read_lists_what_was_found(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", volts=np.arange(9.0), other=np.arange(9.0))
-    with pytest.raises(InputError, match="no column has a name") as refused:
+    with pytest.raises(InputError, match="no column has the name") as refused:
         converted(tmp_path, tmp_path / "log.npz")
     [issue] = refused.value.issues
     assert "volts, other" in issue.allowed

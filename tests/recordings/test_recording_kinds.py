@@ -241,5 +241,5 @@ def test_one_tag_in_every_line_is_the_sensor(tmp_path: Path) -> None:
     np.testing.assert_array_equal(next(iter(labelled.campaign.tables.values()))["ax"], columns["ax"])
     mixed = [line.replace("acc", "row" if place % 3 else "line") for place, line in enumerate(lines)]
     (tmp_path / "mixed.txt").write_text("\n".join(mixed) + "\n")
-    with pytest.raises(InputError, match=r"no column has a name|there is text before or between its numbers"):
+    with pytest.raises(InputError, match=r"no column has the name|there is text before or between its numbers"):
         read_recordings([tmp_path / "mixed.txt"], gravity_m_s2=9.81, latitude_deg=50)

@@ -159,7 +159,7 @@ def test_what_names_and_units_leave_open_is_refused(tmp_path: Path, heading: lis
 @pytest.mark.parametrize(
     ("heading", "options", "text"),
     [
-        (STATED, {"accel_unit": "g"}, r"are in m/s\^2, and g is asked for"),
+        (STATED, {"accel_unit": "g"}, r"are in m/s\^2, but g is requested"),
         (["ax [g]", "ay [g]", "az [g]", *STATED[3:]], {}, "g, which is 9.8"),
     ],
 )

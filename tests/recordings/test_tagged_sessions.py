@@ -60,7 +60,7 @@ def test_matrices_of_one_session_are_stated_together(tmp_path: Path) -> None:
         matrices[name] = np.column_stack([lines[::2, 0] / 1000, lines[::2, 1:] * 9.81, np.radians(lines[1::2, 1:])])
     savemat(tmp_path / "session.mat", matrices)
     options: dict[str, Any] = {"turn_deg": 360, "latitude_deg": 48, "gyro_unit": "rad/s"}
-    with pytest.raises(InputError, match="no column has a name"):
+    with pytest.raises(InputError, match="no column has the name"):
         read_recordings([tmp_path / "session.mat"], **options)
     read = read_recordings([tmp_path / "session.mat"], topic=list(matrices), **options)
     assert {"turns-x-1", "turns-y-2", "turns-z-3"} < {run["name"] for run in read.campaign.document["run"]}

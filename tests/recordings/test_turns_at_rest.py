@@ -54,7 +54,10 @@ def test_a_column_that_a_gyro_follows_is_named_and_read_where_it_is_stated(tmp_p
         read(tmp_path, table_log(column, factor))
     [issue] = refused.value.issues
     assert "the gyros turn by up to 101" in issue.what
-    assert f"column '{column}' is not read, and gz follows it by a factor of {1.008 / factor:.4g}"[:-1] in issue.what
+    assert (
+        f"column '{column}' is not read, and gz is proportional to it by a factor of {1.008 / factor:.4g}"[:-1]
+        in issue.what
+    )
     assert f"--column table_rate_deg_s='{column}'" in issue.remedy
     if factor == 1:
         stated = read(tmp_path, table_log(column), columns={"table_rate_deg_s": column})

@@ -227,7 +227,7 @@ def report(units: int, honest: Shares, faulty: Shares, seconds: float) -> str:
     table = "".join(f"| {' | '.join(line)} |\n" for line in lines)
     return f"""# Conformity of simulated units
 
-{units} accelerometers on a dividing head, outputs in plain NumPy, each fitted by the product and held against
+{units} accelerometers on a dividing head, outputs in plain NumPy, each fitted by the product and compared with
 {len(PRIOR) * len(LIMITS)} limits (`tests/study/conforming_units.py`); {seconds:.0f} s of CPU.
 
 | share | reported | u understated 1.5 times | required |

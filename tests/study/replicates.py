@@ -138,9 +138,10 @@ def report(found: list[Scores]) -> str:
         "# Every procedure by itself, over simulated replicates",
         "",
         f"Made by `python tests/study/replicates.py`: {REPLICATES} replicates each, by generators that share no code "
-        "with the package. Seats, tables, converters and clocks err as the priors say. Scores are (mean − truth)/sd of "
+        "with the package. Seats, tables, converters and clocks have errors drawn from the priors. Scores are "
+        "(mean − truth)/sd of "
         "all parameters, from draws of the nested Laplace approximation, "
-        f"of {' and of '.join(SAMPLED)} from the sampled posterior; wanted are rms 0.9 … 1.1 and coverage of 95 % "
+        f"of {' and of '.join(SAMPLED)} from the sampled posterior; required are rms 0.9 … 1.1 and coverage of 95 % "
         "intervals 0.92 … 0.98. A rank score is the standard normal quantile of the share of draws below the truth.",
         "",
         "| procedure | rms score | coverage | scores | not converged | largest score | largest rank score |",

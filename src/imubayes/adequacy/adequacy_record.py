@@ -25,14 +25,14 @@ NoiseSource = Literal["samples", "prior", "sisters", "channel"]
 
 
 class NoiseViolation(Record):
-    """A way in which the noise is not as the model says.
+    """A way in which the noise differs from that of the model.
 
     Attributes
     ----------
-    kind : what is wrong.
+    kind : kind of the violation.
     channels : names.
-    p : p-value under the noise of the model; None for quantisation, which is no matter of chance.
-    step : quantisation step over the noise standard deviation; None for all else.
+    p : p-value under the noise of the model; None for quantisation, which is not random.
+    step : quantisation step over the noise standard deviation; None for other kinds.
     """
 
     kind: NoiseKind
@@ -47,10 +47,10 @@ class NoiseComparison:
 
     Attributes
     ----------
-    channel : whose noise; the label of the parameter where it has no channel.
-    fitted : as fitted; of white noise the standard deviation of one raw sample, from the scatter of the rows.
-    recorded : the same as known beforehand: of the raw samples, the size that the prior states, or that of the sisters.
-    source : whence that is known.
+    channel : channel of the noise; the label of the parameter if it has no channel.
+    fitted : fitted scale; for white noise the standard deviation of one raw sample, from the scatter of the rows.
+    recorded : the same, known beforehand from the raw samples, the prior, or the sister channels.
+    source : source of the known noise.
     ratio, ratio_sd : fitted over known with its standard uncertainty; of sisters the ratio of the scatter of the means
         of runs, the noise of the rows included.
     p : p-value of the ratio, over all comparisons (Holm).
@@ -58,7 +58,7 @@ class NoiseComparison:
     unit : of the scale.
     freedom : degrees of freedom of the fitted noise; 0 if they are not estimated.
     parameter : its name; empty in diagnoses of earlier versions.
-    sisters : the channels compared with.
+    sisters : channels of the comparison.
     between_runs : whether it is a scatter between runs.
     """
 
@@ -101,8 +101,8 @@ class Disagreement(Record):
     run : its name; empty of a prior.
     row : counts from 1; None for the run as a whole.
     log_odds : natural logarithm of the odds against the most probable explanation with the record as it is.
-    causes : what would make it agree, the most probable first; those that the runs do not distinguish.
-    instead : runs and rows with a cause that explains the same, in place of this one.
+    causes : corrections with which it would agree, the most probable first; the runs do not distinguish them.
+    instead : other runs and rows that may be wrong in place of this one.
     """
 
     run: str
@@ -117,8 +117,8 @@ class DoubtedRun(Record):
 
     Attributes
     ----------
-    p : chance of what it adds to the others, for all runs together.
-    causes : what in its record would make it agree, the most probable first; empty if nothing that was weighed does.
+    p : p-value of the χ² that it adds to the others, for all runs together.
+    causes : corrections of its record with which it would agree, the most probable first; empty if there is none.
     """
 
     run: str
@@ -132,7 +132,7 @@ class ChannelRms(Record):
     Attributes
     ----------
     within : about the mean of each run; None if it is unknown.
-    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None if unknown.
+    noise : standard deviation of the residual known beforehand, offsets of runs included; None if unknown.
     """
 
     channel: str

@@ -74,7 +74,7 @@ def repeatability(
     Raises
     ------
     InputError
-        for calibrations of two units, of the same runs, or that did not converge; where limits are stated, for runs
+        for calibrations of two units, of the same runs, or that did not converge; if limits are stated, for runs
         without dates.
 
     Examples

@@ -111,8 +111,8 @@ def _checkpoint(model: Model, folder: Path | None) -> Path | None:
     ]  # fmt: skip
     if not model.campaign.folder:
         remedy = "give build_campaign a folder, which it writes; without out the result stays in memory"
-        what = f"the campaign '{model.campaign.name}' is in no folder, and a result reads its data again"
-        issues.append(Issue(what, "out", "a campaign of a folder", remedy))
+        what = f"the campaign '{model.campaign.name}' is in no folder, from which a result could read its data"
+        issues.append(Issue(what, "out", "a campaign that is in a folder", remedy))
     refuse(issues)
     return folder / CHECKPOINT
 

@@ -140,9 +140,9 @@ def add(
     result : a result, or its folder.
     effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); the simplest
         explanation of the diagnosis if there are none.
-    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    out : result folder to write; None for none.  It becomes the selected model if the refit is taken.
     channels : for the new effects; if None, those on which the diagnosis found them, or else all they can act on.
-    diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
+    diagnosis : of the result; its estimates are where the refit starts.  If None, the one that the result folder
         holds, if any.
     sample : whether to sample the posterior of a refit that is taken.
     seed : of the sampler.
@@ -191,7 +191,7 @@ def remove(
     ----------
     result : a result, or its folder.
     effects : names of effects or noise members of its model, or Python files that define some of them.
-    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    out : result folder to write; None for none.  It becomes the selected model if the refit is taken.
     sample : whether to sample the posterior of a refit that is taken.
     seed : of the sampler.
     progress : called with a short text as the work goes on.
@@ -240,7 +240,7 @@ def refit(
     ----------
     result : a result, or its folder.
     model : the edited model, or its file.
-    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    out : result folder to write; None for none.  It becomes the selected model if the refit is taken.
     sample : whether to sample the posterior of a refit that is taken.
     seed : of the sampler.
     progress : called with a short text as the work goes on.
@@ -381,7 +381,7 @@ def export(folder: str | Path, file: str | Path) -> str:
     Raises
     ------
     InputError
-        for a folder that holds no result, and where another effect file is in the way.
+        for a folder that holds no result, and if another effect file is in the way.
 
     Examples
     --------

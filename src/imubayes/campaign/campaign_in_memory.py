@@ -119,7 +119,7 @@ def _alike(columns: Mapping[Any, Any], where: str) -> list[tuple[Any, Any]]:
     odd = [f"'{name}' {shape}" for name, shape in lengths.items() if len(shape) != 1]
     odd = odd or [f"'{name}' {shape[0]}" for name, shape in lengths.items() if shape != next(iter(lengths.values()))]
     if odd or not columns:
-        what = f"columns of other shapes: {', '.join(odd)}" if odd else "there are no columns"
+        what = f"columns of different shapes: {', '.join(odd)}" if odd else "there are no columns"
         raise input_error(what, where, _COLUMNS, "give one value a row")
     return list(columns.items())
 

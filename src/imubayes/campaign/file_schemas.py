@@ -244,7 +244,7 @@ class RunEntry(_Entry):
     name: Name
     """of the run in results, unique in the campaign"""
     procedure: str
-    """test procedure: rate_table, dividing_head, …; `imubayes check` lists them"""
+    """test procedure: rate_table, dividing_head, …; `imubayes new FOLDER` without options lists them"""
     file: FileWithin
     """CSV or Parquet file of the run table, beside campaign.toml"""
     table: str | None = None
@@ -308,7 +308,7 @@ class CampaignFile(_Entry):
     table: list[TableEntry] = []
     """rate tables, dividing heads, polar axes, centrifuges"""
     mounting: list[MountingEntry] = []
-    """how the unit sat on a table"""
+    """seating of the unit on a table"""
     thermometer: list[ThermometerEntry] = []
     """those that several runs share"""
     instruments: InstrumentsEntry = InstrumentsEntry()
@@ -399,7 +399,7 @@ class ModelFile(_Entry):
     priors_from: Text = ""
     """source of the priors, such as the population of an archive; stated with each fit"""
     delta_k_threshold_percent: Positive | None = None
-    """as in the campaign, and before it"""
+    """as in the campaign, whose value it overrides"""
     effect: list[EffectEntry] = Field(min_length=1)
     """the signal path; its order does not matter"""
     prior_correlation: list[PriorCorrelationEntry] = []

@@ -67,8 +67,8 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
         root = float(np.median(np.concatenate([*told.values()])))
         yield Finding(
             "standard_errors", "warning", "",
-            f"the deviations of {', '.join(told)} are the stated noise over √samples, {root:.3g}: they are standard "
-            "errors of the means",
+            f"the deviations of {', '.join(told)} are the stated noise divided by √samples, {root:.3g}: they are "
+            "standard errors of the means",
             f"{places[0]}, column '{next(iter(told))}_sd'" + (" and others" if len(places) > 1 else ""),
             "the standard deviation of the raw samples of the row",
             "multiply the columns '…_sd' by √samples, or correct 'noise' of the channels",

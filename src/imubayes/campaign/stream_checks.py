@@ -108,7 +108,7 @@ class Finding:
     severity : ``error`` or ``warning``.
     run : name of the run.
     what, where, allowed, remedy : as in `Issue`.
-    record : what is wrong in the record of the run, where that is known; the likeliest.
+    record : what is wrong in the record of the run, if that is known; the most probable.
 
     Examples
     --------

@@ -166,7 +166,7 @@ _OF_KERNEL = {
 
 
 def kinds_of_files() -> dict[str, EntryPoint]:
-    """Return the pydantic record of each kind of file, loaded when it is asked for."""
+    """Return the pydantic record of each kind of file, loaded when it is needed."""
     own = {kind: EntryPoint(kind, record, _SCHEMAS) for kind, record in _OF_KERNEL.items()}
     return {**own, **extensions("schemas")}
 

@@ -64,10 +64,10 @@ def add(
     Parameters
     ----------
     effects
-        Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
-        prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
+        Names of effects or noise components; `imubayes effects` lists them. A Python file, as `imubayes diagnose
+        --python` prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
     to
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     out
         Result folder to write.
     channels
@@ -251,7 +251,7 @@ def plant(
     model
         Model file, or the name of a shipped model; fitted first.
     result
-        Result folder to take instead of fitting.
+        Result folder to use in place of a new fit.
     effects
         Effects to plant; by default all that the model lacks.
     size
@@ -294,9 +294,9 @@ def remove(
     Parameters
     ----------
     effects
-        Names of effects or noise members of the model, or a Python file that defines some of them.
+        Names of effects or noise components of the model, or a Python file that defines some of them.
     source
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     out
         Result folder to write.
     """
@@ -325,7 +325,7 @@ def refit(
     Parameters
     ----------
     result
-        Result folder of the model to go on from; it stays as it is.
+        Result folder of the model to start from; it is not changed.
     model
         Its model file, edited: RESULT/model.toml is a copy to begin with.
     out

@@ -26,7 +26,7 @@ Flag = Annotated[bool, cyclopts.Parameter(negative="")]
 """A switch without a negative form."""
 
 Trust = Annotated[bool, cyclopts.Parameter(negative="")]
-"""Run the effect files that come along, now and later: they are code."""
+"""Run the effect files that come with the input, now and later: they are code."""
 
 Names = Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")]
 """Several names after one option, separated by blanks or commas."""
@@ -47,7 +47,7 @@ def print_json(value: Any) -> None:
 
 
 def show(record: Callable[[], Any], report: Callable[[], "Report"], as_json: bool) -> None:
-    """Print what was found: the record as JSON where that is asked for, else its report; only that one is made."""
+    """Print what was found: the record as JSON if requested, else its report; only that one is made."""
     if as_json:
         found = record()
         print_json(found.model_dump(mode="json") if isinstance(found, Record) else found)
@@ -65,7 +65,7 @@ def start_jax(command: str = "") -> None:
 
 
 def trusting(place: Path | None, trust: bool) -> None:
-    """Remember the effect files that come along with a result, model or plan as trusted, where the user says so."""
+    """Remember the effect files that come with a result, model or plan as trusted, if the user says so."""
     if trust and place is not None:
         from imubayes.results.folder_files import trust as remember
 

@@ -42,7 +42,7 @@ parameter, to be told (convention)."""
 
 @dataclass(frozen=True)
 class Absorber:
-    """What hides an effect: parameter family (`effect.parameter`, or `RUN_OFFSETS`) and its share of the response."""
+    """A family of parameters (`effect.parameter`, or `RUN_OFFSETS`) that absorbs an effect, and its share."""
 
     parameter: str
     share: float
@@ -52,14 +52,13 @@ class Absorber:
 class ParameterBias:
     """The parameter that an effect of the largest typical size biases most while undetected.
 
-    None of that size is assumed where the campaign states the uncertainty of the equipment.
+    Effects of equipment whose uncertainty the campaign states count with size 0.
 
     Attributes
     ----------
     parameter, unit : name and unit.
     value, in_sd : the bias, in that unit and in posterior standard deviations.
-    coefficient, size, size_unit : of the coefficients of the effect the one that biases most, with its largest typical
-        size.
+    coefficient, size, size_unit : the coefficient of the effect that biases most, with its largest typical size.
     """
 
     parameter: str
@@ -76,7 +75,7 @@ class NeglectedUncertainty(Record):
 
     Attributes
     ----------
-    effect, parameter : what describes it, and its parameter as it would be named in the model.
+    effect, parameter : effect that describes it, and its parameter as the model would name it.
     value, unit : as stated.
     shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
     """

@@ -231,7 +231,7 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
     member = fit.model.registry.find(effect, where)
     if not issubclass(member, Effect):
         raise input_error(
-            f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged"
+            f"'{effect}' is noise, not an effect", where, "an effect", "leave it out: every diagnosis judges the noise"
         )
     if any(spec.name == effect and spec.channels is None for spec in fit.model.spec.effects):
         raise input_error(

@@ -25,12 +25,12 @@ from imubayes.inference.candidate_runs import RunDesign
 
 
 class ScreenedEffect(Record):
-    """What the search says of one effect.
+    """Result of the search for one effect.
 
     Attributes
     ----------
     channels : channels, mountings or tables of its coefficients.
-    probability : of a member of a slot, its share; of a line of the ranking, that it is missing.
+    probability : share in its group, or, in the ranking, probability that it is missing.
     delta_chi2 : predicted drop of χ² if the effect were added, at the noise known beforehand.
     shape : scanned parameters, such as a time constant, at their most probable value.
     coefficients : with their posterior standard deviations.
@@ -47,7 +47,7 @@ class ScreenedEffect(Record):
 class RankedEffect(ScreenedEffect):
     """A line of the ranking; `log_odds`: natural logarithm of the odds for this effect alone against nothing missing.
 
-    The noise is held at what it is without the effect.
+    The noise is that of the model without the effect.
     """
 
     log_odds: float
@@ -77,11 +77,11 @@ class EffectGroup(Record):
     ----------
     channels, delta_chi2 : of the first.
     probability : that one of them is missing.
-    log_odds : natural logarithm of the evidence for it beside the other groups.
+    log_odds : natural logarithm of the odds for it, given the other groups.
     candidates : one per effect.
     residual : rms of the channel that shows it best, before and after adding the first, at the noise known beforehand.
     within : whether pictures show that residual about the mean of each run.
-    covariate : what that residual depends on; None if no single covariate explains it.
+    covariate : covariate on which that residual depends; None if no single covariate explains it.
     discriminating_run : the feasible run that distinguishes them best; None if there is none.
     beyond_typical : the coefficients of the first that are larger than those met in practice.
     """
@@ -129,7 +129,7 @@ class UndetectableEffect(Record):
 
 
 class AskedEffect(Record):
-    """The requested effect, with the size detected with 80 % power; None if none would be."""
+    """The requested effect, with the size detected with 80 % power; None if no size would be detected."""
 
     effect: str
     smallest_detectable: float | None
@@ -141,22 +141,22 @@ class Diagnosis(Presented, Record):
 
     Attributes
     ----------
-    verdict : the most probable kind of explanation; about one effect, the answer.
+    verdict : the most probable kind of explanation; if one effect was requested, the answer about it.
     message : why the fit, or the sampling about its mode, did not converge.
     result : folder of the result that was diagnosed.
-    explanations : how probable each explanation is; None of a fit without a mode.
+    explanations : probability of each explanation; None for a fit without a mode.
     groups : the effects of the most probable explanation, each with the effects that the runs cannot distinguish from
         it; the strongest first.
     delta_chi2 : predicted drop of χ² by the first of every group together, at the noise known beforehand.
     ranking : every effect that the runs can show, the most probable first.
-    formulas : of the residual, where a cause outside the catalogue leads.
+    formulas : of the residual, if a cause outside the catalogue is the most probable explanation.
     disagreeing : the run or row whose record is wrong in the most probable explanation.
     undetectable : effects that the runs cannot show.
     outliers : rows far from the most probable explanation.
     suggested : the simplest explanation: effects, or noise, to add next.
     all_that_fit : the same with everything that the runs cannot distinguish from it; None if that is the same.
     recorded_noise : white noise of each channel, as fitted and as known beforehand.
-    contradicted : noise scales of the fit that contradict the knowledge of them, the least probable first.
+    contradicted : noise scales of the fit that contradict the noise known beforehand, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     asked : the requested effect, if there was one.
 

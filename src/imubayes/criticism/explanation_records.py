@@ -38,9 +38,9 @@ class EffectChoice(Record):
 
 
 class Suggestion(Record):
-    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all.
+    """Effects, or noise, to add next, and the channels that they have in common; None for all channels.
 
-    Those `left_out` explain the same, but the refit with them does not converge.
+    The effects `left_out` explain the same, but the refit with them does not converge.
     """
 
     effects: tuple[str, ...]
@@ -78,7 +78,7 @@ class ProbableExplanation(Record):
 
 
 class ProbableEffect(Record):
-    """An effect with its inclusion probability: of all explanations that contain it."""
+    """An effect with its inclusion probability: that of all explanations that contain it."""
 
     effect: str
     channels: tuple[str, ...]
@@ -93,7 +93,7 @@ class WeighedSoFar(Record):
 
 
 class EffectSlot(Record):
-    """One missing effect of the leading explanation, and what may stand in its place, the rest held.
+    """A missing effect of the leading explanation, with its alternatives if the other effects are kept.
 
     Attributes
     ----------
@@ -126,16 +126,16 @@ class FoundStep(Record):
 
 
 class FoundForm(Record):
-    """A form outside the catalogue, or a wrong input, of the most probable explanation that has one.
+    """The form outside the catalogue, or the wrong record, of the most probable explanation that has one.
 
     Attributes
     ----------
     name : what it is.
     channels : on which.
     covariates : columns of the covariates that it depends on.
-    run, row : of a step or a wrong input; the row counts from 1.
+    run, row : of a step or a wrong record; the row counts from 1.
     log_odds : against the most probable explanation without one.
-    wrong : whether it is a wrong input.
+    wrong : whether it is a wrong record.
     step : of a step of the outputs: how large, and where.
     """
 
@@ -155,7 +155,7 @@ class FoundNoise(Record):
     Attributes
     ----------
     family : what it is; ``scale``: white noise of another size.
-    scale : noise of a row over that known beforehand.
+    scale : ratio of the noise of a row to that known beforehand.
     """
 
     channels: tuple[str, ...]
@@ -164,7 +164,7 @@ class FoundNoise(Record):
 
 
 class Evidence(Record):
-    """How probable each explanation of what a model leaves is.
+    """Probabilities of the explanations of a residual.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class Evidence(Record):
     form : the most probable form or wrong record; None if none is near.
     noise : noise other than stated, in the leading explanation.
     noise_known : standard deviation of the logarithm of the worst known noise scale.
-    hypotheses : how many were evaluated.
+    hypotheses : number of hypotheses evaluated.
     """
 
     explanations: tuple[ProbableExplanation, ...]

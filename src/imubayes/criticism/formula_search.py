@@ -231,7 +231,7 @@ class FormulaTerm(Record):
 
 
 class ResidualFormula(Record):
-    """The simplest formula for what no effect of the catalogue explains on a channel.
+    """The simplest formula for the residual of a channel that no effect of the catalogue explains.
 
     Attributes
     ----------

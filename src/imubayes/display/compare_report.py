@@ -157,7 +157,7 @@ def compare(
     Parameters
     ----------
     result : a result that has a folder, or the folder.
-    parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most if None.
+    parameters : for a corner plot; if None, with `every` the mounting angles and scale factors determined least.
     runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst if None.
     every : draw all figures, not only the five that matter most and those requested.
     progress : called with a short text as the work goes on.

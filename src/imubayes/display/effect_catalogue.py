@@ -29,7 +29,8 @@ def print_catalogue() -> None:
         parameters = ", ".join(f"{', '.join(names)} ({unit})" for unit, names in by_unit.items())
         grid.add_row(member.name, _acts_on(member), ", ".join(member.needs) or "–", parameters)
     Console().print(grid)
-    print("\nimubayes effects NAME explains one; imubayes effects --for CAMPAIGN says which a campaign could show")
+    print("\nimubayes effects NAME explains one, with its needs in words.")
+    print("imubayes effects --for CAMPAIGN lists those that a campaign could show.")
 
 
 def print_observable(campaign: Campaign) -> None:
@@ -88,12 +89,16 @@ def print_effect(effect: str) -> None:
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
-    console.print(f"one value per: {', '.join(member.per)}", highlight=False)
+    console.print(f"one value per: {_scope(member)}", highlight=False)
     if member.excludes:
         console.print(f"not together with: {', '.join(member.excludes)}", highlight=False)
     if member.confused_with:
         console.print(f"confused with: {member.confused_with}", highlight=False, markup=False)
     console.print(f"source: {member.reference}", highlight=False, markup=False)
+
+
+def _scope(member: EffectClass) -> str:
+    return ", ".join(member.per) or "campaign"
 
 
 def _acts_on(member: EffectClass) -> str:

@@ -70,7 +70,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     elif not any(each.excessive and each.source == "sisters" for each in own):
         meaning += ", or the prior is too narrow for this unit"
     more = f". The same holds for {listed(others, _MOST_NAMED)}" if others else ""
-    return f"{worst} is {factors}: {meaning}{more}"
+    return f"{worst} is {factors}. {meaning[0].upper()}{meaning[1:]}{more}"
 
 
 def _factor(each: NoiseComparison) -> str:
@@ -343,7 +343,7 @@ def conflict_line(conflict: PriorConflict) -> str:
     value, uncertainty = value_and_sd(conflict.value, conflict.sd)
     whose = "The prior decides" if conflict.decided_by == "prior" else "The prior is unusual for"
     return (
-        f"{whose} {conflict.name} = {value} ± {uncertainty} {pretty(conflict.unit)}: the data alone ask for {alone} ± "
+        f"{whose} {conflict.name} = {value} ± {uncertainty} {pretty(conflict.unit)}: the data alone give {alone} ± "
         f"{spread}, the prior is {mean} ± {sd}, {significant(conflict.distance, 2)} standard deviations apart. "
         f"{remedy(conflict)}"
     )

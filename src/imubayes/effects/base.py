@@ -195,7 +195,7 @@ class Effect(eqx.Module):
     per : sharing of values: one for each channel, run, mounting, table or pose, whose names are in its label.
     kinds : kinds of channel that it can act on.
     needs : covariates that a run must have recorded (`imubayes.procedures.kinematics.Stimulus.supplies`).
-    excludes : equivalent effects, which may not stand in the same model for the same channel.
+    excludes : equivalent effects, which may not be in the same model for the same channel.
     confused_with : effects with a similar signature, in words.
     reference : source of the formula.
     nuisance : whether its values are of no interest in a report.
@@ -244,7 +244,7 @@ def _states_formula(base: type) -> bool:
 
 
 class MotionEffect(Effect):
-    """An effect on how the unit stands and moves, at the stages STAND and TABLE.
+    """An effect on the attitude and motion of the unit, at the stages STAND and TABLE.
 
     At STAND it may change `base` and `mounting`, and is evaluated once per run or pose, not at every node.
 
@@ -300,7 +300,7 @@ class AmbientEffect(MotionEffect):
 
 
 class PlaceEffect(Effect):
-    """An effect of where in the unit a channel's sensor sits, at the stage PLACE.
+    """An effect of the position of a channel's sensor in the unit, at the stage PLACE.
 
     Examples
     --------

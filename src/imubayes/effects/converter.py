@@ -106,7 +106,7 @@ class ConverterNonlinearity(Gain, SignalEffect):
     """
 
     name = "converter_nonlinearity"
-    confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity: exactly, without injected current"
+    confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity (exactly, without injected current)"
     reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
     quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (0.1, 100), "the gain change per output")
     cubic: Scalar = parameter(

@@ -37,7 +37,7 @@ class UnknownHeading(MotionEffect):
     """Direction of north that is not stated: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
 
     The components have the mean and the covariance of a uniformly distributed direction, ½ each. Terms that are linear
-    in them are correct to second moments for every direction, and no angle of ±180° has to be searched.
+    in them have correct first and second moments for every direction, without a search over an angle of ±180°.
     """
 
     name = "unknown_heading"
@@ -145,7 +145,7 @@ class PoseAttitude(BodyRotation):
     """Rotation of each pose from its first estimate, C_nb = estimated C_nb · exp([δ]×): a mounting of unknown rotation.
 
     The prior, 10°, is an order of magnitude wider than the error of the first estimate, which rests on nominal
-    sensors good to some percent.
+    sensors good to a few percent.
     """
 
     name = "pose_attitude"
@@ -195,7 +195,7 @@ class LeverArm(PlaceEffect):
 class RotationCentre(PlaceEffect):
     """Acceleration Ω×(Ω×r) + dΩ/dt×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
 
-    All accelerometers have it in common, and each run another: the place of the unit on the wheel is unknown.  The
+    r is common to all accelerometers, and differs between runs: the place of the unit on the wheel is unknown.  The
     component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.
     """
 
@@ -239,7 +239,7 @@ class ReferenceBias(ReferenceGyroEffect):
 
     name = "reference_bias"
     order = -5
-    confused_with = "the bias of the gyro along the same axis: exactly, unless other runs determine the latter"
+    confused_with = "the bias of the gyro along the same axis (exactly, unless other runs determine that bias)"
     reference = "IEEE Std 952, bias; of the reference, its certificate"
     x: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body x")
     y: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body y")
@@ -253,7 +253,7 @@ class ReferenceScaleFactor(ReferenceGyroEffect):
     """Reading of each axis of the reference = (1 + s) · true rate."""
 
     name = "reference_scale_factor"
-    confused_with = "a scale factor of the gyro along the same axis: exactly, except through the priors"
+    confused_with = "a scale factor of the gyro along the same axis (exactly, except for the priors)"
     reference = "IEEE Std 952, scale factor error; of the reference, its certificate"
     x: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body x")
     y: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body y")

@@ -97,11 +97,11 @@ class MiddleAxisZero(AxisAngleZero):
 
 
 class InnerAxisZero(AxisAngleZero):
-    """True angle of the inner axis = φ + δ: of a table of one axis that axis, of a centrifuge the platform."""
+    """True angle of the inner axis = φ + δ: the only axis of a one-axis table, or the platform of a centrifuge."""
 
     name = "inner_axis_zero"
     needs = ("table_angle",)
-    confused_with = "mounting error about the inner axis: exactly, in one mounting"
+    confused_with = "mounting error about the inner axis (exactly, in one mounting)"
     zero: Scalar = _zero_of("inner")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
@@ -176,8 +176,8 @@ class MiddleAxisIntersection(OuterAxisIntersection):
 class PlatformTilt(OuterAxisEffect):
     """Tilt of the platform of a centrifuge, whose axis is nominally parallel to the arm's: C · exp([x, y, 0]×).
 
-    x and y are about the platform's axes at angle 0.  Between axes that are not parallel squareness and zeros say the
-    same, and the tilt is 0.
+    x and y are about the platform's axes at angle 0.  If the two axes are not parallel, squareness and zeros describe
+    the same error, and the tilt is 0.
     """
 
     name = "platform_tilt"
@@ -200,8 +200,8 @@ class ArmError(OuterAxisEffect):
 
     name = "arm_error"
     confused_with = (
-        "the radius: exactly with the scale factor of accelerometers if the centrifuge is their only input; the "
-        "stretch: with K_oq, and with K2 if the input axis points one way only"
+        "of the radius, the scale factor of accelerometers (exactly, if the centrifuge is their only input); of the "
+        "stretch, K_oq, and K2 if the input axis points one way only"
     )
     reference = "IEEE Std 836, radius and stretch of the arm; 1 … 500 µm, 0.1 … 20 µm/g"
     radius: Scalar = parameter("um", "normal(0, 100 um)", (1, 500), "the error of the radius at rest", "arm")
@@ -220,7 +220,7 @@ class ArmError(OuterAxisEffect):
 class TableAxisTilt(MotionEffect):
     """Small rotation of the whole table about its own x and y: C_nt0 = nominal C_nt0 · exp([x, y, 0]×).
 
-    Of several axes it is that of the outer one, against the vertical and north.
+    A table of several axes has that of its outer axis, relative to the vertical and north.
     """
 
     name = "table_axis_tilt"
@@ -245,7 +245,7 @@ class GravityAnomaly(MotionEffect):
     name = "gravity_anomaly"
     stage = Stage.STAND
     per = ()
-    confused_with = "a scale factor common to all accelerometers: exactly if gravity is the only input"
+    confused_with = "a scale factor common to all accelerometers (exactly, if gravity is the only input)"
     reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
     anomaly: Scalar = parameter(
         "ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity", "gravity", domain=GRAVITY_ERROR
@@ -315,7 +315,7 @@ class TableRateError(TableEffect):
     """Actual rate = indicated rate · (1 + e), of every axis: an error of the clock that they share."""
 
     name = "table_rate_error"
-    confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro is mounted beside the unit"
+    confused_with = "a scale factor common to all gyros (exactly, unless a reference gyro is mounted beside the unit)"
     reference = "IEEE Std 952, rate table accuracy"
     rate_error: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the rate", "rate")
 

@@ -130,7 +130,7 @@ class Table:
     axis_uncertainty, rate_uncertainty, angle_uncertainty : of the direction of the outer axis, rad; of rates, ratio; of
         an angle that is read, rad.
     middle_axis, inner_axis : unit vectors in the frame of the outer axis at zero angles; None if there is none, or
-        where one axis is all.
+        if there is only one axis.
     arm : distance of the inner from the outer axis along x of the outer one, m; 0 but for a centrifuge.
     zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
     intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
@@ -332,19 +332,19 @@ class Run:
     ----------
     name, procedure : as in the campaign file.
     table, mounting : names in the campaign, or None if the procedure has none.
-    covariates : name in `imubayes.foundations.covariates.COVARIATES` → shape (R,) in SI.  `table_angle` is NaN where a
+    covariates : name in `imubayes.foundations.covariates.COVARIATES` → shape (R,) in SI.  `table_angle` is NaN if a
         row is a mean over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
-    observed : shape (R, C) over the campaign's channels, output units, NaN where missing.
+    observed : shape (R, C) over the campaign's channels, output units, NaN if missing.
     samples : shape (R,) number of raw samples in each row's mean.
-    sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN where unknown.
+    sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN if unknown.
     start : ISO date and time of the run's beginning, or None.
     tumble : the moving part, for a free tumble.
-    attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
+    attitude : shape (R, 3, 3), body → local level of each row, if the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
     temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of the error of these temperatures
         that is common to all rows and independent of other runs, °C; None or 0 if there is no such error.
     thermometer, converter_thermometer : names of the thermometers of these temperatures; None for one of the run alone.
-    turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
+    turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, if it is a turn from rest to
         rest; None if rows are at constant rates.
 
     Examples

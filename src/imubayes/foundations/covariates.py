@@ -237,7 +237,7 @@ CONDITIONS: dict[str, str] = {
     "posed": "a free tumble",
     "driven": "a table that the gyro drives",
     "unknown_heading": 'a table with azimuth_deg = "unknown", or a record at rest without a table',
-    "unknown_level": "such a table without axis_uncertainty_arcsec, or a record at rest without a table",
+    "unknown_level": 'azimuth_deg = "unknown" without axis_uncertainty_arcsec, or a record at rest without a table',
     "directions": "positions named by directions of the site (i_axis, o_axis)",
     "stand": "a run",
     "table": "a run on a table",
@@ -261,3 +261,11 @@ def remedy(need: str) -> str:
     if need in COVARIATES:
         return COVARIATES[need].source or COVARIATES[need].column
     return CONDITIONS.get(need, need)
+
+
+def effects_by_need(lacking: Iterable[tuple[str, Iterable[str]]]) -> str:
+    """Return what would bring out effects that no run shows: each need in words, with its effects."""
+    by_need: dict[str, list[str]] = {}
+    for effect, needs in lacking:
+        by_need.setdefault("; ".join(map(remedy, needs)) or "a run that responds", []).append(effect)
+    return "; ".join(f"{need} ({', '.join(effects)})" for need, effects in by_need.items())

@@ -47,7 +47,7 @@ def answer_to(option: str) -> Any:
     if entry is None:
         function, _, name = option.partition(".")
         raise input_error(
-            f"the option '{name}' of '{function}' is answered by a package that is not installed",
+            f"the option '{name}' of '{function}' belongs to a package that is not installed",
             f"option {name}",
             "options of the packages that are installed",
             "install imubayes with all its packages, or leave the option out",

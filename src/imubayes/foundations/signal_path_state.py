@@ -17,7 +17,7 @@ class Ambient(eqx.Module):
     """The covariates of one instant that effects see, in SI: `ambient.temperature` and so on.
 
     A covariate that the run does not carry is 0 here.  An effect that needs it does not act on that run, and cannot be
-    bound where the covariate has some value in spite of that (`Covariate.absent`).
+    bound if the covariate has some value in spite of that (`Covariate.absent`).
 
     Examples
     --------
@@ -90,9 +90,9 @@ class Motion(eqx.Module):
     mounting : rotation from body to table, shape (3, 3).
     table_angle, table_rate, table_acceleration : of the table about its axis; rad, rad/s, rad/s².
     reference_rate, reference_acceleration : inertial rotation that a reference gyro measured, in body axes, rad/s and
-        rad/s²; zero where none rides along.
+        rad/s²; zero if there is none.
     gravity : specific force of a body at rest, in n, m/s².
-    earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
+    earth_rate : the Earth's rotation in n, rad/s; zero if the reference has measured it along.
     outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None if no run has
         any.
     hand : motion since the pose of a unit that is carried; None if no run has any.

@@ -51,7 +51,7 @@ class TemperatureProfile(Record):
 
 
 class RunDesign(Record):
-    """What an engineer sets to make a run; None for what the procedure does not set.
+    """Settings of a run; None for those that the procedure does not have.
 
     Attributes
     ----------

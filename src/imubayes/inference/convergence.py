@@ -236,7 +236,7 @@ def _strays(log_density: np.ndarray) -> list[str]:
     strays = int(far.any(axis=1).sum())
     if not strays or entered.any():
         return []
-    return [f"{strays} walkers began far below the log density of the others, and none came there later"]
+    return [f"{strays} walkers began far below the log density of the others, and no other walker came there later"]
 
 
 def _by_walker(chain: np.ndarray) -> np.ndarray:

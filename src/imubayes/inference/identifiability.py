@@ -29,7 +29,7 @@ class ProcedureShare(Record):
 
 
 class Contribution(Record):
-    """Posterior standard deviation of a quantity, and by test procedure."""
+    """Posterior standard deviation of a quantity, in all and for each test procedure."""
 
     quantity: str
     unit: str
@@ -218,11 +218,11 @@ class PriorConflict(Record):
     name, unit, effect, parameter : of the parameter.
     prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None if it has none.
     value, sd : posterior mode and standard deviation, in the unit.
-    data_value, data_sd : what the data alone ask for, in the unit.
+    data_value, data_sd : estimate from the data alone, in the unit.
     distance : between prior and data, in standard deviations of their difference.
     decided_by : which of the two contributes more to the estimate.
-    stated_in : where the prior is to be changed: the model file, or the equipment's uncertainty in the campaign file.
-    wider : a prior that has room for what the data ask for, as written in a model file; empty for other families.
+    stated_in : place of the prior: the model file, or the equipment's uncertainty in the campaign file.
+    wider : a prior that includes that estimate, as written in a model file; empty for other families.
     """
 
     name: str

@@ -126,14 +126,14 @@ def sample(
 
     Parameters
     ----------
-    log_density : points (n, D) → (n,), or a point (D,) → a number, up to a constant; −∞ or NaN where the density is
-        zero.  A function of one point is vectorised, by JAX where JAX takes it, and called point by point otherwise.
+    log_density : points (n, D) → (n,), or a point (D,) → a number, up to a constant; −∞ or NaN if the density is
+        zero.  A function of one point is vectorised, by JAX if JAX accepts it, and called point by point otherwise.
     start : shape (D,), a point within the bulk of the density.
     scale : shape (D,) or one for all, the rough standard deviation of each parameter; it covers all modes that matter.
-    names : of the D parameters; ``x0``, ``x1``, … where none are given.
+    names : of the D parameters; ``x0``, ``x1``, … if none are given.
     settings : of the sampler.
     most_evaluations : budget of evaluations of the density at a point, with or without its gradient; a block of steps
-        may go beyond it.  None for 2 million, 100 million where gradients lead the chains.
+        may go beyond it.  None for 2 million, 100 million if gradients lead the chains.
     checkpoint : file in which the chains are kept; a temporary one if None.
     resume : continue the checkpoint.
     progress : called with a line on the steps done, how far the chains are from their goals, and the evaluations.

@@ -30,7 +30,7 @@ class GroupGain(Record):
 
 
 class CrossValidation(Record):
-    """What a change of a model does to the prediction of rows that were left out.
+    """Effect of a change of a model on the prediction of rows that were left out.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class CrossValidation(Record):
     delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
         groups; None for a single group.
     helped, of : number of groups that are predicted better, and of all groups.
-    verdict : whether the addition ``helps`` (Δ elpd above two standard errors, or above what flips of the signs of the
-        groups reach by chance), that it is ``unclear``, or does ``not`` help.  A removal ``costs`` prediction where
-        adding the same would help, and ``spares`` it where it would not.
+    verdict : whether the addition ``helps`` (Δ elpd above two standard errors, or beyond chance if the signs of the
+        groups were random), is ``unclear``, or does ``not`` help.  A removal ``costs`` prediction if adding the same
+        would help, and ``spares`` it if it would not.
     each : Δ elpd of each group.
     rates : of poses: rms of each gyro at rest about its prediction, before and after.
     """

@@ -28,12 +28,12 @@ from imubayes.model.bind import Model
 
 
 class Prediction(Record):
-    """What a change was predicted to bring.
+    """Predicted results of a change.
 
     Attributes
     ----------
     delta_chi2 : drop at the noise known beforehand, negative if χ² rises; None if noise itself is changed.
-    coefficients : of effects added: those of the diagnosis, where it estimated the same; by the linear model elsewhere,
+    coefficients : of effects added: those of the diagnosis if it estimated the same; otherwise by the linear model,
         several effects together.
     """
 

@@ -290,7 +290,7 @@ class Model:
         return values / np.concatenate([self.layout.factors(), self.hyper_layout.factors()])
 
     def from_units(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return z, shape (D,), of parameters in their units; ValueError where a prior excludes a value."""
+        """Return z, shape (D,), of parameters in their units; ValueError if a prior excludes a value."""
         count = len(self.layout)
         return np.concatenate([self.layout.z_of(values[:count]), self.hyper_layout.z_of(values[count:])])
 

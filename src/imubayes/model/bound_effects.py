@@ -211,7 +211,7 @@ def _without_single_runs(
     if found and found == channels:
         raise SingleRunError(
             Issue(
-                f"'{spec.name}' differs from run to run, and {' and '.join(found)} had one run",
+                f"'{spec.name}' differs from run to run, and {' and '.join(found)} had only one run",
                 spec.where,
                 "channels of two runs and more, or a prior from earlier units",
                 "leave the effect out, add a run, or state its prior",
@@ -244,7 +244,7 @@ def _recorded_runs(
     runs = {index for index, supplied in enumerate(supplies) if set(needs) <= supplied}
     if not runs:
         missing = tuple(need for need in needs if not any(need in supplied for supplied in supplies)) or needs
-        raise _not_observable(spec, f"it needs {' and '.join(missing)}", supplies, missing)
+        raise _not_observable(spec, f"it needs {' and '.join(map(remedy, missing))}", supplies, missing)
     gating = {need for need in needs if need in ambient_names() or need in _GATES}
     return runs, {index for index, supplied in enumerate(supplies) if not gating <= supplied}
 
@@ -290,7 +290,7 @@ def _showing_runs(
         found = runs & set().union(*map(grouping.responding, tried))
         missing = () if found else missing_stimulus(tried[0], grouping.samples)
     if not found:
-        why = "its response is zero in all of them" + (f"; it needs {missing[0]}" if missing else "")
+        why = "its response is zero in all of them" + (f"; it needs {remedy(missing[0])}" if missing else "")
         raise _not_observable(spec, why, grouping.nodes.supplies, missing)
     return found
 
@@ -449,8 +449,7 @@ def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry)
 
 def _of_tumbles(effect_class: EffectClass) -> bool:
     """Whether an effect is an unknown of free tumbles themselves."""
-    of_others = issubclass(effect_class, AmbientEffect) or "driven" in effect_class.needs
-    return effect_class.nuisance and not of_others
+    return effect_class.nuisance and set(effect_class.needs) <= {"posed"}
 
 
 def _shown_in(bound: BoundEffect, campaign: Campaign) -> tuple[str, ...]:

@@ -44,10 +44,10 @@ def dry_run(problem: Problem, effects: Sequence[BoundEffect], spec: ModelSpec) -
         line = _line(error, files)
         names = ", ".join(member.__name__ for member in own)
         raise input_error(
-            f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
+            f"an effect of your own cannot be evaluated: {type(error).__name__}: {_short(error)}",
             line or f"{', '.join(files) or 'class'}: {names}",
-            "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
-            "they are given, changed",
+            "methods as their base class describes them, written with jax.numpy for one sample; each returns its first "
+            "argument, changed",
             "correct the class; a choice that depends on a value is jnp.where, not if",
         ) from error
 

@@ -26,7 +26,7 @@ class EffectSpec:
     per : sharing of values (channel, all, run, mounting); None for the default of the effect.
     prior : parameter → prior as written.
     options : fixed settings of the effect.
-    optional : drop it where no run can show it or the unit lacks the channel, instead of refusing the model.
+    optional : drop it if no run can show it or the unit lacks the channel, instead of refusing the model.
     where : file and key, for errors.
 
     Examples
@@ -47,7 +47,7 @@ class EffectSpec:
 
 
 class SingleRunEffect(Record):
-    """An effect that is what differs from run to run, on channels of one run each: it is not in the bound model."""
+    """An effect that differs from run to run, on channels with one run each: it is left out of the bound model."""
 
     effect: str
     channels: tuple[str, ...]
@@ -62,9 +62,9 @@ class UncertainEquipment(Record):
 
     Attributes
     ----------
-    effect, parameter : what describes it, and its parameter as the model would name it.
+    effect, parameter : effect that describes it, and its parameter as the model would name it.
     unit, size : its standard uncertainty.
-    stated : whether the campaign states that; else it is one that is plausible, as of normal gravity.
+    stated : whether the campaign states the size; otherwise it is a plausible one, as for normal gravity.
     """
 
     effect: str

@@ -205,7 +205,7 @@ def _output_as_scale(scale: float) -> dict[str, float]:
 def _check_family(prior: Prior, field: str, declared: Declared, where: str, hyper: bool) -> None:
     if declared.spread and not isinstance(prior, Normal):
         raise input_error(
-            f"the prior width of '{field}' is learnt, so its prior has to be normal",
+            f"the prior width of '{field}' is estimated from the data, so its prior has to be normal",
             where,
             f"normal(0, 1 {declared.unit})",
             "write a normal prior, or leave it out",

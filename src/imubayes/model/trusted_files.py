@@ -45,9 +45,9 @@ def refuse_untrusted(files: Iterable[str | Path]) -> None:
     known = {*_ran, *_trusted()}
     refuse(
         Issue(
-            f"'{Path(file).name}' is Python code that came along, and it is not trusted",
+            f"'{Path(file).name}' is Python code that came with the input, and it is not trusted",
             str(file),
-            "effect files of a model that is named on the command line, and those that were trusted as they are",
+            "effect files of a model that is named on the command line, and those whose present text you have trusted",
             "read the file; if you trust it, add --trust, or in Python call imubayes.trust, which remembers it",
         )
         for file in files

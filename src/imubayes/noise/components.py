@@ -348,9 +348,10 @@ class Outliers(TailNoise):
 class RunScatter(SharedNoise):
     """One offset per run and channel, b ~ normal(0, τ), integrated out: any two entries of it have covariance τ².
 
-    Few runs say little of τ, and the offset of a run then has the law that the prior of τ gives it.  A half-normal
-    prior (Gelman 2006, for few groups) holds τ = 0 and gives that law a kurtosis of 9: one offset in 1350 is beyond 6
-    of its standard deviations.  Under lognormal(·, 1) the kurtosis is 164, and it is one in 280.
+    Few runs contain little information on τ, and the prior of τ then determines the distribution of the offset of a
+    run.  A half-normal prior (Gelman 2006, for few groups) includes τ = 0 and gives it a kurtosis of 9: one
+    offset in 1350 is beyond 6 of its standard deviations.  Under lognormal(·, 1) the kurtosis is 164, and it is one
+    in 280.
     """
 
     name = "run_scatter"

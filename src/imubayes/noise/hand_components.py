@@ -41,7 +41,7 @@ class CarriedClosure(EntryNoise):
     needs = ("carried",)
     kinds = ("closure",)
     nuisance = True
-    reference = "definition; IEEE Std 952, angle random walk over some ten seconds"
+    reference = "definition; IEEE Std 952, angle random walk over about ten seconds"
 
     sigma: Scalar = parameter(
         "arcsec", "lognormal(0.03 deg, 1)", (1, 3600), "the standard deviation of the closing rotation"

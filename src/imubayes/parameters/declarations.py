@@ -94,7 +94,7 @@ def parameter(
         instead of `output`, since channels differ in their output units.
     meaning : a phrase that completes "this is …".
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
-        width where the campaign states it, or empty.
+        width if the campaign states it, or empty.
     null : the value, in SI, at which the effect is the identity.
     per : sharing of its values, if it differs from the effect's own `per`.
     spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
@@ -145,7 +145,7 @@ def option(default: float, meaning: str) -> Any:
 
     Parameters
     ----------
-    default : its value where the model file states none, in SI.
+    default : its value if the model file states none, in SI.
     meaning : a phrase that completes "this is …".
 
     Examples

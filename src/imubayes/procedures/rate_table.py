@@ -166,7 +166,7 @@ def _bias(series: RateSeries, campaign: Campaign) -> list[TextbookResult]:
 def _shape(series: RateSeries) -> list[TextbookResult]:
     """Return nonlinearity and asymmetry of the scale factor."""
     turning, values = series.rate[series.turning], series.corrected
-    largest, how = float(np.abs(values).max()), "largest deviation from the line over the largest output"
+    largest, how = float(np.abs(values).max()), "largest deviation from the line divided by the largest output"
     worst, sd = (each / largest * 1e6 for each in (np.abs(series.fitted.residual).max(), series.row_sd))
     scatter = "type A: scatter of one row about the line"
     found: list[TextbookResult] = [

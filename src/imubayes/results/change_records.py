@@ -126,10 +126,10 @@ class ModelChange(Presented, Record):
     Attributes
     ----------
     added, removed : effects with their channels.
-    priors : written anew in the model file, by ``effect.parameter``; empty for the default.
+    priors : changed in the model file, by ``effect.parameter``; empty for the default.
     set_aside, taken_back : readings that the model leaves out, and no longer leaves out.
     widened : priors widened because the estimate lies outside the typical range, by ``effect.parameter``.
-    taken, message : whether the refit converged and is no worse than the fit before, and why not.
+    taken, message : whether the refit converged and is no worse than the fit before, and the reason if not.
     predicted, observed : Δχ² and coefficients before and after the refit.
     prior_conflicts : new parameters whose prior disagrees with the data.
     held_out : cross-validation; None if there was none.

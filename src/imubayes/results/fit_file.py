@@ -108,7 +108,7 @@ def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) ->
         raise input_error(
             f"the model declares other parameters than were fitted: {', '.join(changed[:4])}",
             f"{folder / MODEL}",
-            "the model file as the fit wrote it, and the effects of its time",
+            "the model file as the fit wrote it, and the effects as they were at that time",
             "run the fit again",
         )
     numbers = [by_name[name] for name in layout.names]

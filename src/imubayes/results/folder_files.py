@@ -37,7 +37,7 @@ def damaged(file: Path, reason: object, key: str = "") -> Issue:
     """Return the issue of a file that is there but cannot be read."""
     detail = " ".join(str(reason).split())[:200]
     where = f"{file}, key {key}" if key else str(file)
-    return Issue(f"{file.name} cannot be read: {detail}", where, "a whole file, as the fit wrote it", AGAIN)
+    return Issue(f"{file.name} cannot be read: {detail}", where, "a complete file, as the fit wrote it", AGAIN)
 
 
 def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | None = None) -> Kept:
@@ -94,7 +94,7 @@ def missing(folder: Path) -> list[Issue]:
         remedy = "give the folder that a fit wrote (--out)"
         return [Issue("there is no such result folder", str(folder), listed, remedy)]
     if not folder.is_dir():
-        return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+        return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder that contains it")]
     if (folder / CAMPAIGN_FILE).is_file() and not (folder / SUMMARY).is_file():
         remedy = "give the folder that a fit of this campaign wrote (--out)"
         return [Issue("this is a campaign folder, not a result folder", str(folder), allowed, remedy)]
@@ -287,7 +287,7 @@ def same_fit(folder: Path, identity: str) -> Manifest:
 def _read(folder: Path) -> Manifest:
     file = folder / MANIFEST
     if not file.is_file():
-        what = f"the result folder has no {MANIFEST}: an earlier version made it, or it is not whole"
+        what = f"the result folder has no {MANIFEST}: an earlier version made it, or it is incomplete"
         raise input_error(what, str(file), "a folder as `imubayes fit` writes it", AGAIN)
     try:
         return Manifest.model_validate_json(file.read_bytes())
@@ -337,7 +337,7 @@ def unbroken(folder: Path, remedy: str) -> Path:
     """
     file = folder / MANIFEST
     if not file.is_file():
-        what = f"the folder has no {MANIFEST}: an earlier version made it, or it is not whole"
+        what = f"the folder has no {MANIFEST}: an earlier version made it, or it is incomplete"
         raise input_error(what, str(file), "a folder with a manifest of its files", remedy)
     try:
         listed = Manifest.model_validate_json(file.read_bytes()).fit

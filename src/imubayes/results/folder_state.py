@@ -67,7 +67,7 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
                 "the folder holds a sampled result",
                 str(folder),
                 "a folder that does not exist yet, an empty one, or a result that was not sampled",
-                f"choose another --out, or add --replace (in Python replace=True) to lose {folder / POSTERIOR}",
+                f"choose another --out, or add --replace (in Python replace=True), which deletes {folder / POSTERIOR}",
             )
 
 

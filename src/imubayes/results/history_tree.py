@@ -32,13 +32,13 @@ class FitRecord(Record):
 
     Attributes
     ----------
-    campaign : where the data were.
-    data_hash, model_hash : identify campaign and model.
+    campaign : folder of the campaign.
+    data_hash, model_hash : SHA-256 of campaign and model.
     z, h : parameters and hyperparameters at the mode by name, on the scale of the layout; None for a non-finite value.
     converged, message : of optimiser and sampling.
     optimised : whether the optimiser converged; None in folders of earlier versions.
     seed : of the sampler.
-    campaign_notes : of the campaign, with what its outputs say against its set-up; None in folders of earlier versions.
+    campaign_notes : of the campaign, including findings about its set-up; None in folders of earlier versions.
     """
 
     format: Literal[1] = 1

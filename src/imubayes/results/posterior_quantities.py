@@ -119,7 +119,7 @@ def fit_until_digits(
             lacking, name = draws_lacking(fit, digits)
             if lacking <= 1:
                 break
-            tell(f"{name}: {lacking:.1f} times the draws for {digits} digits")
+            tell(f"{name} needs {lacking:.1f} times as many draws for {digits} digits")
             if sampling is None:
                 more = min(_MOST_DRAWS, LAPLACE_DRAWS * math.ceil(_MARGIN * lacking * draws / LAPLACE_DRAWS))
                 if more == draws:

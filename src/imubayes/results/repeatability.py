@@ -110,7 +110,7 @@ class Repeatability(Presented, Record):
     other_priors : quantities with different priors in the two; they are compared as if nothing were common to them.
     pooled : whether both may be taken as one: they agree, and have the same priors.
     changed, elsewhere : equipment and site that differ between the two.
-    due : where limits were stated, when each quantity may reach them; soonest first.
+    due : if limits were stated, the date at which each quantity may reach them; soonest first.
 
     Examples
     --------

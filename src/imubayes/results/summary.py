@@ -67,7 +67,7 @@ class FitProvenance(Record):
     ----------
     serial : serial number of the unit; empty if the campaign states none.
     first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None if no run states one.
-    fitted : when the fit was made, ISO 8601 in UTC.
+    fitted : time of the fit, ISO 8601 in UTC.
     data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
     seed : of the sampler.
     software : versions that made the fit.
@@ -131,7 +131,7 @@ class Conformance(Record):
 
 
 class DerivedSummary(Quantity):
-    """A derived quantity; `within` is given for Δk, whose threshold decides whether the 1 g line stands for all."""
+    """A derived quantity; `within` is given for Δk, whose threshold decides if the 1 g line applies to all inputs."""
 
     within: Conformance | None = None
 
@@ -168,7 +168,7 @@ class RunSummary(Record):
     ----------
     rms : of the residual in input units, deg/s or g.
     within : rms about its mean in the run, in the same unit; None in results of earlier versions, as `noise`.
-    noise : standard deviation that the model assumes of it, run offset included.
+    noise : its standard deviation according to the model, run offset included.
     """
 
     name: str
@@ -207,20 +207,20 @@ class Seconds(Record):
 
 
 class Summary(Record):
-    """Everything `summary.json` says of a fit (format 1).
+    """The contents of `summary.json` (format 1).
 
     Attributes
     ----------
     provenance : unit, dates, hashes, seed and software; None in results of earlier versions.
-    implausible, unexplained : why a fit that reached a mode failed all the same; empty otherwise.
+    implausible, unexplained : reasons why a fit that reached a mode failed; empty otherwise.
     intervals_valid : whether the fit converged, and its noise agrees with the model and with the knowledge of it.
-    noise_violations : how the noise is not, the clearest first.
-    noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
-    noise_contradicted : comparisons of the noise scales that contradict the knowledge of them, the clearest first.
+    noise_violations : differences of the noise from the model, the clearest first.
+    noise_suspected : differences of the noise from the model that may be chance; intervals count as valid.
+    noise_contradicted : noise scales that contradict the noise known beforehand, the clearest first.
     known_noise : goodness of fit at the noise known beforehand, including the part that the noise of the fit absorbed;
         None if
         the fit has no mode, and in results of earlier versions.
-    prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    prior_scatter : noise scales known from their priors alone, on which intervals depend.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
     left_out : effects between runs that one run of a channel cannot determine: not in the model, nor in the intervals.
     exact : stated uncertainties of site and equipment that the model takes as exact; no interval includes them.

@@ -121,7 +121,7 @@ def batch(
     diagnose : whether each fit is diagnosed.
     seed : of the sampler.
     retry : whether campaigns without estimates are tried again, not only those whose files have changed.
-    workers, scheduler : number of local worker processes, or address of a Dask scheduler; in this process where neither
+    workers, scheduler : number of local worker processes, or address of a Dask scheduler; in this process if neither
         is given.
     progress : called with a short text as the work goes on.
 

@@ -55,8 +55,8 @@ def fit_all(
     out
         Results folder.
     sample
-        Units whose posterior is sampled; the others have the Laplace approximation. Flagged are those whose
-        importance weights (Pareto k, skewness) put it in doubt.
+        Units whose posterior is sampled; the others have the Laplace approximation. The units `flagged` are those
+        whose importance weights (Pareto k, skewness) put that approximation in doubt.
     diagnose
         Diagnose each fit; the verdict is in the table.
     seed
@@ -64,7 +64,7 @@ def fit_all(
     retry
         Try campaigns without estimates again, not only those whose files have changed.
     workers
-        Fit in so many local processes; in this process if neither this nor a scheduler is given.
+        Number of local processes. Without it and without a scheduler, this process fits all units.
     scheduler
         Fit on the workers of this Dask scheduler, such as tcp://node:8786.
     as_json
@@ -132,7 +132,7 @@ def population(
     results
         Results folder of a batch.
     alone
-        Take the fits of each unit alone; no campaign is read.
+        Use the fit of each unit alone; no campaign is read.
     parameter
         Parameters to draw; by default those that deviate most.
     out
@@ -172,7 +172,7 @@ def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "Hierar
     with progress() as tell:
         results, model_hash = _of_one_model(results, model_hash)
         trusting(kept_model(results, model_hash), trust)
-        tell("compiling for the first units")
+        tell("compiling for the first campaigns")
         return hierarchical_fit(results, model_hash, progress=tell)
 
 
@@ -275,7 +275,7 @@ def diagnose(
 def compare(
     old: Path, new: Path, *, out: Path | None = None, picture: Path | None = None, as_json: Json = False
 ) -> None:
-    """Show changes with the model: per parameter and unit, with significance.
+    """Compare the results of two models: changes by parameter and unit, with significance.
 
     Example: imubayes batch compare results/old results/new --out changes.parquet
 

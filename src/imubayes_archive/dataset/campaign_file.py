@@ -199,13 +199,13 @@ def _head(file: Path, read: Any, metadata: Any) -> Any:
     try:
         head = json.loads(text)
     except ValueError as error:
-        raise _damaged(file, "its metadata are no JSON") from error
+        raise _damaged(file, "its metadata are not JSON") from error
     if head.get("format") != SCHEMA_VERSION:
         raise input_error(
             f"the file has schema version {head.get('format')}",
             str(file),
             f"version {SCHEMA_VERSION}",
-            "read it with the imubayes that wrote it, or pack the campaign again",
+            "read it with the version of imubayes that wrote it, or pack the campaign again",
         )
     return head
 

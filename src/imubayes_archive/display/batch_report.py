@@ -69,7 +69,8 @@ def drift_report(found: Drifts) -> Report:
     rows = [*filter(lambda each: each.significant, found.parameters), *others[:_MOST_OTHERS]]
     sheet = Sheet(
         title, ("parameter", "per year", "unit", "pairs", "changed", "p", "in units"), list(map(_drift_row, rows)),
-        left=(0, 2, 6), note="changed: pairs of consecutive calibrations with a significant change",
+        left=(0, 2, 6), note="changed: pairs of consecutive calibrations with a significant change; per year: 0.03(11) "
+        "is 0.03 ± 0.11; log: of the natural logarithm",
     )  # fmt: skip
     told = [
         f"{counted(changed, 'drifting parameter')} of {len(found.parameters)}; false discovery rate "
@@ -93,11 +94,11 @@ _SHOWN = 20
 def progress_text(state: BatchProgress) -> str:
     """Return how far a batch is, in one line."""
     if not state.done and state.before < state.units:
-        return "compiling for the first units"
+        return "compiling for the first campaigns"
     left = state.seconds_left
-    parts = [f"{state.before + state.done} of {state.units} units"]
+    parts = [f"{state.before + state.done} of {state.units} campaigns"]
     if state.done:
-        parts.append(f"{state.rate:.3g} units/s")
+        parts.append(f"{state.rate:.3g} campaigns/s")
     if state.failed:
         parts.append(f"{state.failed} without estimates")
     if left is not None and left >= 1:
@@ -120,8 +121,8 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: S
     units : the table of units of the model.
     doubts : why units need a person.
     """
-    before = f"; {counted(state.before, 'unit')} processed before" if state.before else ""
-    said = f"{counted(state.done, 'unit')} processed in {_duration(state.seconds)}{before}"
+    before = f"; {counted(state.before, 'campaign')} processed before" if state.before else ""
+    said = f"{counted(state.done, 'campaign')} processed in {_duration(state.seconds)}{before}"
     failed = units.filter(pl.col("status") != "fitted")
     rows = [
         [str(row[name]) for name in ("unit", "status", "reason", "file")]
@@ -197,12 +198,12 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
     looked = f"{counted(found.campaigns, 'campaign')} of {of}, {candidates}"
     lines = [text for each in found.findings for text in _finding_lines(each)]
     lines.append(_nothing_line(found))
-    lines.append(f"{looked}; {found.expected:g} missing effect expected before the data")
+    lines.append(f"{looked}; a priori {found.expected:g} missing effect is expected")
     head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for / against")
     beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
     rows = [_row(each.evidence, each) for each in found.findings]
     rows += [_row(each) for each in list(beside.values())[::-1][:_MOST_CANDIDATES]]
-    effects = Sheet("Effects, and candidates beside them", head, rows, left=(0, 1, 2, 3, 6)).with_few(0, 3, 4, 5)
+    effects = Sheet("Effects found, and further candidates", head, rows, left=(0, 1, 2, 3, 6)).with_few(0, 3, 4, 5)
     return Report(lines, [*map(_sides, found.findings), effects], [*map(str, issues), *_next(found)])
 
 

@@ -40,7 +40,8 @@ def population_report(found: Populations, fit: HierarchicalFit | None = None) ->
 
 _NOTE = (
     "mean: of the first group, of the units before a step, or at the middle of a trend; spread: half the width of the "
-    "central 68.3 % within a group; (log): of the natural logarithm"
+    "central 68.3 % within a group; 0.57(9): 0.57 ± 0.09; (log): of the natural logarithm; units: those whose data are "
+    "informative, of all"
 )
 
 
@@ -62,7 +63,7 @@ def _nothing(known: Sequence[ParameterPopulation]) -> Iterator[str]:
     searched = [each.laws for each in known if each.laws is not None]
     if searched and not any(each.findings or each.possible for each in searched):
         least = min(each.nothing_else for each in searched)
-        yield f"All units are of one group: probability {probability(least)} or more for each parameter."
+        yield f"All units form one group, with a probability of {probability(least)} or more for each parameter."
 
 
 def _of_rounds(fit: HierarchicalFit | None) -> Iterator[str]:

@@ -168,7 +168,10 @@ def _in_lanes_if_possible(group: Sequence[BoundUnit], padded: bool) -> list[Fit 
     except np.linalg.LinAlgError:
         return [None] * len(group)
     except Exception as error:
-        warnings.warn(f"units are fitted alone, since lanes failed: {type(error).__name__}: {error}", stacklevel=2)
+        warnings.warn(
+            f"units are fitted one by one, because their joint computation failed: {type(error).__name__}: {error}",
+            stacklevel=2,
+        )
         return [None] * len(group)
 
 

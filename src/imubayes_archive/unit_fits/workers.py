@@ -141,7 +141,7 @@ def _died(task: ChunkTask, error: "KilledWorker") -> FittedChunk:
 def scheduler_lost(what: str) -> InputError:
     """Return the error of a batch whose scheduler has gone."""
     return input_error(
-        f"the Dask scheduler has gone: {what}",
+        f"the Dask scheduler no longer answers: {what}",
         "the cluster of the batch",
         "a scheduler that runs as long as the batch",
         "start it, and run the same command again: the batch continues with the missing units",

@@ -24,7 +24,7 @@ export function drawCauses(place, actions) {
   const lines = grouped([...shown, ...missing.filter((each) => !shown.some((one) => one.effect === each.effect))], known, selection, actions);
   fill(place,
     el("div", { class: "head" },
-      el("h2", { id: "causes-title" }, selection ? "What explains these readings" : "What would explain the rest"),
+      el("h2", { id: "causes-title" }, selection ? "Causes of these readings" : "Causes of the residual"),
       chosen ? el("span", { class: "row" },
         chosen.n ? el("button", { id: "aside", "data-key": "aside", onclick: actions.aside, title: "key s: fit without these readings, with a reason" }, "set aside …") : null,
         el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection")) : null),

@@ -14,7 +14,7 @@ function find(id) {
   return kept.models.find((model) => model.facts.id === id);
 }
 
-const refusal = "this page was saved, and has no server: start `imubayes explore FOLDER` to go on";
+const refusal = "a saved page has no server: start `imubayes explore FOLDER` to continue";
 
 export function savedAnswer(name, body) {
   const model = body && find(body.model);
@@ -25,7 +25,7 @@ export function savedAnswer(name, body) {
   if (name === "selection") return selection(model, body.brushes);
   if (name === "preview") {
     const found = body.effects.length === 1 && model.previews.find((each) => each.facts.effects[0] === body.effects[0]);
-    if (!found) throw new Error(`the saved page previews the likeliest causes one at a time; ${refusal}`);
+    if (!found) throw new Error(`the saved page previews the most probable causes, one at a time; ${refusal}`);
     return found.facts;
   }
   throw new Error(refusal);
@@ -52,7 +52,7 @@ function selection(model, brushes) {
     chi2 += known[k] ** 2;
     runs.add(model.facts.runs[run[k]]);
   }
-  const sentence = `${n} readings: χ² ${chi2.toPrecision(4)}. What explains them needs the server.`;
+  const sentence = `${n} readings: χ² ${chi2.toPrecision(4)}. Their causes need the server.`;
   return { n, of: model.of, chi2, nothing: null, offset: null, causes: [], sentence, runs: [...runs] };
 }
 

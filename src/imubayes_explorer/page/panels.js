@@ -137,7 +137,7 @@ export function drawCharts(before = null) {
   measurement.show({ x, y: extent(points.observed) }, "", head.output_label);
   beside.show(other, { x, y }, head);
   document.getElementById("residual-title").textContent = view.beside ? `residual ${head.refitted ? "of the refit" : "of this model"}` : head.refitted ? "residual of the refit; band: 95 % of noise alone" : told.preview?.effects.length
-    ? `residual, and what ${told.preview.effects.length > 2 ? `the ${told.preview.effects.length} causes previewed` : told.preview.effects.join(" and ")} would explain of it` : "residual; band: 95 % of noise alone";
+    ? `residual, and the part that ${told.preview.effects.length > 2 ? `the ${told.preview.effects.length} causes previewed` : told.preview.effects.join(" and ")} would explain` : "residual; band: 95 % of noise alone";
   document.getElementById("residuals").setAttribute("aria-label",
     `Residuals of ${view.channel}: ${head.of} readings. ${told.selection?.sentence ?? ""} Left and right arrows move a selection.`);
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;

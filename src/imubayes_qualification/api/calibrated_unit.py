@@ -52,9 +52,9 @@ def apply(
     ----------
     result : a fit of the unit, or its folder.
     readings : a data frame (Polars, pandas, Arrow), a mapping of names to arrays, or a CSV or Parquet file: a column
-        per channel in output units, and `converter_temperature_degC` and `temperature_degC` where the model depends on
+        per channel in output units, and `converter_temperature_degC` and `temperature_degC` if the model depends on
         them.
-    temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+    temperatures : `temperature` and `converter_temperature` of all rows, °C, if no column gives them.
     nothing_across : whether there was no input across the axes of the channels. Otherwise the uncertainty includes the
         possible effect of such an input.
 
@@ -111,7 +111,7 @@ def correct(
     recording : a CSV or Parquet table with a column per channel, of any length, or a campaign folder.
     out : the table to write, CSV or Parquet.
     run : of the campaign, if it has several.
-    temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+    temperatures : `temperature` and `converter_temperature` of all rows, °C, if no column gives them.
     progress : called with a short text as the work goes on.
 
     Raises

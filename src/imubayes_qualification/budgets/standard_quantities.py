@@ -339,7 +339,7 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
              effects=("gyro_scale_factor",)),
     _scalar("gyro_scale_factor_error", "ε_K", "scale factor error", "S/S_nominal − 1", "gyro_scale_factor.scale"),
     _derived("nonlinearity", "f(I)", "scale factor nonlinearity", "gyro",
-             "largest deviation from the least-squares line at the rates that were run, of full scale", _nonlinearity,
+             "largest deviation from the least-squares line at the rates run, relative to the largest", _nonlinearity,
              effects=_NONLINEAR),
     _derived("asymmetry", "S₊ − S₋", "scale factor asymmetry", "gyro",
              "difference of the least-squares slopes at the positive and the negative rates that were run", _asymmetry,

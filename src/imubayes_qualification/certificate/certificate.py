@@ -133,9 +133,9 @@ class CertifiedItem(_CertificatePart):
     """What was calibrated; its serial number is that of the campaign."""
 
     description: Identity | None = Field(default=None, description="what it is")
-    manufacturer: Identity | None = Field(default=None, description="who made it")
+    manufacturer: Identity | None = Field(default=None, description="manufacturer of the item")
     model: Identity | None = Field(default=None, description="type designation")
-    condition: Text | None = Field(default=None, description="in which it was received")
+    condition: Text | None = Field(default=None, description="condition on receipt")
     received: Date | None = Field(default=None, description="date of receipt")
 
 
@@ -150,9 +150,9 @@ class MeasurementStandard(_CertificatePart):
     )
     serial: Identity | None = Field(default=None, description="its serial number")
     certificate: Identity | None = Field(default=None, description="number of its calibration certificate")
-    issued_by: Identity | None = Field(default=None, description="who issued that")
-    calibrated: Date | None = Field(default=None, description="when it was calibrated")
-    valid_until: Date | None = Field(default=None, description="when it is due again")
+    issued_by: Identity | None = Field(default=None, description="issuer of that certificate")
+    calibrated: Date | None = Field(default=None, description="date of its calibration")
+    valid_until: Date | None = Field(default=None, description="date at which its calibration is due again")
 
     @model_validator(mode="after")
     def _is_valid_after_its_calibration(self) -> "MeasurementStandard":
@@ -202,14 +202,14 @@ class Amendment(_CertificatePart):
 class ExternalResult(_CertificatePart):
     """Results that an external provider obtained."""
 
-    provider: Identity = Field(description="who obtained them")
-    results: Text = Field(description="which they are, such as runs of the campaign")
+    provider: Identity = Field(description="provider that obtained them")
+    results: Text = Field(description="description of the results, such as runs of the campaign")
 
 
 class Signatory(_CertificatePart):
     """A person who authorises the certificate."""
 
-    name: Identity = Field(description="as it signs")
+    name: Identity = Field(description="name of the signatory")
     function: Text | None = Field(default=None, description="in the laboratory")
 
 
@@ -219,8 +219,8 @@ class Certificate(_CertificatePart):
     number: Identity | None = Field(default=None, description="unique identification of the certificate")
     date: Date | None = Field(default=None, description="of issue")
     title: Identity = Field(default="Calibration certificate", description="of the document")
-    laboratory: Party = Field(default=Party(), description="who calibrated")
-    customer: Party = Field(default=Party(), description="for whom")
+    laboratory: Party = Field(default=Party(), description="laboratory that made the calibration")
+    customer: Party = Field(default=Party(), description="customer of the calibration")
     order: Identity | None = Field(default=None, description="of the customer")
     item: CertifiedItem = Field(default=CertifiedItem(), description="what was calibrated")
     location: Identity | None = Field(default=None, description="place of the calibration")

@@ -169,7 +169,10 @@ def _resolved(
     if factor is None:
         allowed = quantity.unit + (" with 'nominal' also ppm, %" if entry.nominal is None else ", ppm, %")
         ledger.add(
-            f"the unit '{entry.unit}' is not one of {quantity.name}", where, allowed, "write the limits in such a unit"
+            f"the unit '{entry.unit}' is not one of {quantity.name}",
+            where,
+            allowed,
+            "write the limits in one of these units",
         )
         return None
     lower, upper = _ends(entry, factor, shift)

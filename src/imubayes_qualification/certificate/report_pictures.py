@@ -56,7 +56,7 @@ class ResidualMeans(Record):
 
 
 class ErrorPicture(Record):
-    """Error against rate, angle or temperature; below it what the model leaves.
+    """Error against rate, angle or temperature, and the residuals below it.
 
     Attributes
     ----------

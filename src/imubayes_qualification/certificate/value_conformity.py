@@ -37,7 +37,7 @@ class ConformityStatement(Presented):
     acceptance : estimates with which a unit is delivered; None if none is.
     conformance : p_c, the probability that the quantity is within the limits; None if it is withheld.
     consumer_risk, producer_risk : specific risks, of the decision that was taken.
-    global_consumer_risk, global_producer_risk : shares of all units tested, where the production is known.
+    global_consumer_risk, global_producer_risk : shares of all units tested, if the production is known.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def _check_measured(measured: object) -> None:
         what = f"a {type(measured).__name__}"
     if what:
         allowed = (
-            "what propagate found; an estimate of a report; (estimate, standard uncertainty); or "
+            "a result of propagate; an estimate of a report; (estimate, standard uncertainty); or "
             f"{rules.LEAST_EFFECTIVE:.0f} draws or more"
         )
         raise input_error(f"{what} is not a measured value", "measured", allowed, "give one of these")

@@ -1,8 +1,8 @@
 """Commands for a calibrated unit: `imubayes apply`, `carrier`, `export`, `mission` and `report`.
 
-`apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of what
-carries a rotating unit, with the rotation taken out.  `export` writes constants for the computer on board, `mission`
-says what they are worth in navigation.  `report` writes the uncertainty report for qualification.
+`apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of the
+carrier of a rotating unit, without the rotation.  `export` writes constants for the computer on board, `mission`
+computes the navigation errors due to their uncertainty.  `report` writes the uncertainty report for qualification.
 """
 
 from pathlib import Path
@@ -230,7 +230,7 @@ def mission(
     latitude_deg
         Latitude of its beginning; by default that of the site.
     temperature
-        Temperature of the unit in degC, which such effects over temperature need; by default that of the constants.
+        Temperature of the unit in degC, for the effects that depend on it; by default that of the constants.
     rate_hz
         Rate of the samples; without it their noise is left out.
     aided_height

@@ -40,10 +40,12 @@ _CAUSES = {
 def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> Iterator[str]:
     """Yield each effect that is left in, with the size that it may have; `uncertainty` is the one that has it."""
     for effect in left_in:
-        said = f"note: {effect.effect} of {', '.join(effect.channels)} is left in ({_CAUSES[effect.cause]})"
+        said = f"note: {effect.effect} of {', '.join(effect.channels)} is not corrected ({_CAUSES[effect.cause]})"
         if effect.size is not None and effect.sd is not None:
             where = "under the conditions of the runs that were fitted"
-            said += f": up to {effect.size:.2g} ± {effect.sd:.1g} {_UNITS[effect.kind]} {where}; {uncertainty} has it"
+            said += (
+                f": up to {effect.size:.2g} ± {effect.sd:.1g} {_UNITS[effect.kind]} {where}; {uncertainty} includes it"
+            )
         yield said
 
 
@@ -100,7 +102,7 @@ def inputs_lines(found: CalibratedInputs, nothing_across: bool) -> list[str]:
     lines += left_in_lines(found.left_in, "the uncertainty")
     lines += taken_as_exact_lines(found.exact, "the uncertainty")
     if found.left_in and not nothing_across:
-        lines.append("note: each channel was treated alone; if there was no input across its axis, say --along-axes")
+        lines.append("note: each channel was treated alone; if there was no input across its axis, add --along-axes")
     return lines
 
 

@@ -118,7 +118,7 @@ def selftest_report(record: "Selftest") -> Report:
     wrong = sum(not each.agrees for each in answers)
     alarm = f"{wrong} of {len(answers)} values DIFFER: do not use this installation for measurements" if wrong else ""
     head = ("quantity", "source", "known", "found", "allowed", "")
-    note = "Allowed: half of the last published digit, or what the number of draws and the optimiser leave open."
+    note = "Allowed: half of the last published digit, or the error that the number of draws and the optimiser allow."
     versions = ", ".join(f"{each.package} {each.version}" for each in record.software)
     lines = [f"{record.date:%Y-%m-%d %H:%M} UTC, {record.machine}: {versions}."]
     return Report(lines, [Sheet("Known answers", head, rows, (0, 1, 5), note=note).with_few(0, 2, 3, 5)], alarm=alarm)

@@ -33,7 +33,7 @@ class InputQuantity:
     half_width, inexact : half the distance of the limits, and half the range in which each limit lies; 0 without
         limits.
     top : of a trapezoid, its upper side over its base.
-    draws : shape (S,), where these are the distribution; inputs with as many draws as each other are paired.
+    draws : shape (S,), if these are the distribution; inputs with as many draws as each other are paired.
 
     Examples
     --------
@@ -136,7 +136,7 @@ class InputQuantity:
         return cls(name, float(known.mean()), float(known.std()), "draws", "A", draws=known)
 
     def sampled(self, scores: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """Return draws, (n,), from standard normal scores of the same shape where the input is normal or t."""
+        """Return draws, (n,), from standard normal scores of the same shape if the input is normal or t."""
         count = len(scores)
         if self.distribution in ("normal", "t"):
             nu = self.degrees_of_freedom

@@ -183,7 +183,9 @@ class BoundEquation:
             columns.append(each.draws[chosen[size]])
         found = self(np.stack(columns, axis=1))
         if not np.isfinite(found).all():
-            raise _wrong("is not finite for some values of its inputs", "a number for all that the inputs may be")
+            raise _wrong(
+                "is not finite for some values of its inputs", "a number for every possible value of the inputs"
+            )
         return found
 
 
@@ -213,7 +215,9 @@ def _correlation_matrix(inputs: Sequence[InputQuantity], correlation: Correlatio
         else:
             found[places[first], places[second]] = found[places[second], places[first]] = value
     if not issues and len(found) and np.linalg.eigvalsh(found).min() < -1e-12:
-        issues.append(Issue("no quantities are so correlated", "correlation", "a positive matrix", "correct it"))
+        issues.append(
+            Issue("no quantities can have these correlations", "correlation", "a positive matrix", "correct it")
+        )
     refuse(issues)
     return found
 

@@ -82,7 +82,7 @@ def inputs_along_axes(
     Parameters
     ----------
     result : a fit of the unit that converged.
-    readings : a column per channel in output units; `converter_temperature_degC` and `temperature_degC` where the model
+    readings : a column per channel in output units; `converter_temperature_degC` and `temperature_degC` if the model
         depends on them; `samples` where rows are means.
     where : place of the readings, for errors.
     temperatures : temperature → value for all rows, where no column gives it, °C.

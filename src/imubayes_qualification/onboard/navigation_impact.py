@@ -369,7 +369,7 @@ def navigation_impact(
     """
     if len(constants.triads) < 2:
         has = constants.triads[0].kind if constants.triads else "none"
-        fault = f"navigation takes gyros and accelerometers, and three axes are known of {has} alone"
+        fault = f"navigation needs gyros and accelerometers on three axes each; with three axes: {has}"
         raise input_error(fault, f"unit {constants.serial}", "a fit of a whole unit", "fit both in one campaign")
     motion = motion_of(mission)
     warmer = 0.0 if temperature is None else temperature - constants.reference_degC

@@ -59,7 +59,7 @@ def capture(
     source : a text file that grows, or ``-`` for the lines of standard input, which are kept in FOLDER.log.
     until : largest standard uncertainties of the effects, such as ``accel_bias=0.2mg``.
     patience : seconds without a line after which a file has ended.
-    show : called with every step, and what is asked for.
+    show : called with every step, and the requested uncertainties.
     options : as of `imubayes convert`.
 
     Raises

@@ -238,7 +238,8 @@ def _turns_about_the_vertical(run: RecordedRun, turning: float, where: str) -> I
     if not followers:
         return input_error(what, where, allowed, "state the column of the rate, or the angle of the turns")
     first = followers[0]
-    followed = f"column '{first.column}' is not read, and {first.channel} follows it by a factor of {first.slope:.4g}"
+    by = f"{first.channel} is proportional to it by a factor of {first.slope:.4g}"
+    followed = f"column '{first.column}' is not read, and {by}"
     return input_error(
         f"{what}; {followed}", where, allowed,
         f"if it is the rate in deg/s: --column {TABLE_RATE}='{first.column}'",

@@ -337,7 +337,7 @@ def _mended(time: np.ndarray, channels: Sequence[np.ndarray], options: ConvertOp
             f"{1e3 * between:.3g} ms between)"
         )
         if options.clock == "recorded":
-            return _increasing(time), [f"{note}: --clock even takes them as even at {rate:.5g} Hz"]
+            return _increasing(time), [f"{note}: --clock even treats them as evenly spaced at {rate:.5g} Hz"]
         return even, [f"{note}: treated as even at {rate:.5g} Hz; --clock recorded keeps their times"]
     gaps = step > _GAP * median
     notes = []
@@ -350,12 +350,12 @@ def _mended(time: np.ndarray, channels: Sequence[np.ndarray], options: ConvertOp
         even = _even(time, gaps)
         return even, [
             *notes,
-            f"samples are treated as evenly spaced at {1 / float(np.median(np.diff(even))):.6g} Hz, as asked",
+            f"samples are treated as evenly spaced at {1 / float(np.median(np.diff(even))):.6g} Hz, as requested",
         ]
     if jitter > _JITTER:
         notes.append(
             f"the time jitters by {1e3 * jitter * median:.3g} ms, {100 * jitter:.3g} % of the sampling interval: "
-            "--clock even takes the samples as even"
+            "--clock even treats the samples as evenly spaced"
         )
     return _increasing(time), notes
 

@@ -134,7 +134,7 @@ def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: Co
     left = (*table.left, *beside)
     unknown = {target: role.unknown for target, column in columns.items() if (role := roles[column.position])}
     if unknown.get(TEMPERATURE):
-        left += (f"the unit '{unknown[TEMPERATURE]}' of the temperature is not known: it is not read",)
+        left += (f"the temperature is not read: its unit '{unknown[TEMPERATURE]}' is not known",)
         columns = {target: column for target, column in columns.items() if target != TEMPERATURE}
     text = [target for target, own in columns.items() if topic.columns[own.position].unit == "text"]
     for target in (name for name in text if name[:2] not in SIX and name not in (TIME, *options.columns)):

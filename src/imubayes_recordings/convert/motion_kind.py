@@ -40,13 +40,13 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
     if poses >= _POSES or moving < _MOVING_SHARE or seconds < _MOVING_SECONDS:
         return "free_tumble", ""
     if not all(name in columns for name in GYROS):
-        return "slow_motion", f"{seconds:.3g} s without rest, and no gyros about three axes: each window has |f| = g"
+        return "slow_motion", f"{seconds:.3g} s of motion without rest, no gyros about three axes: windows of |f| = g"
     if about_one_axis(rates):
         axis = np.linalg.eigh(rates.T @ rates)[1][:, -1]
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
         named = ", ".join(f"{part:.2f}" for part in axis + 0.0)
-        return "free_rotation", f"{seconds:.3g} s without rest, about one axis of the body, ({named})"
-    return "slow_motion", f"{seconds:.3g} s without rest, about all axes: without poses at rest"
+        return "free_rotation", f"{seconds:.3g} s of rotation without rest about one axis of the body, ({named})"
+    return "slow_motion", f"{seconds:.3g} s of motion about all axes without rest"
 
 
 def _poses(force: np.ndarray, interval: float) -> tuple[int, float]:

@@ -247,7 +247,7 @@ def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:
     if not (saying := _identities(table)):
         return (what,)
     named = " or ".join(f"{place + 1} {table.topic.columns[place].name}".strip() for place in saying)
-    remedy = f"keep the rows of one unit, in a file of their own; column {named} may say which"
+    remedy = f"keep the rows of one unit, in a file of their own; column {named} may identify it"
     raise input_error(what, table.topic.where, "rows of one unit", remedy)
 
 

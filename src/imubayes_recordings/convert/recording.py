@@ -246,7 +246,7 @@ def described(topic: Topic) -> str:
 def _damaged(file: Path, kind: str, error: Exception) -> InputError:
     why = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
     return input_error(
-        f"the {kind} file cannot be read: {why}", str(file), f"a whole {kind} file", "copy or record the file again"
+        f"the {kind} file cannot be read: {why}", str(file), f"a complete {kind} file", "copy or record the file again"
     )
 
 

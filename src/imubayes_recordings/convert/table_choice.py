@@ -68,11 +68,13 @@ def _stated_topic(word: str, names: Sequence[str]) -> tuple[str, str]:
         says, name = "", word
     if name not in names:
         what = f"there is no topic '{name}'"
-        raise input_error(what, "option topic", closest_first(name, names), "name a topic that is there")
+        raise input_error(what, "option topic", closest_first(name, names), "name one of these topics")
     kind = quantity_of(set(words_of(says)), "")
     if says and not kind:
         allowed = "acc=NAME, gyro=NAME, or NAME alone"
-        raise input_error(f"'{says}' of '{word}' is no kind of sensor", "option topic", allowed, "state the kind so")
+        raise input_error(
+            f"'{says}' of '{word}' is not a kind of sensor", "option topic", allowed, "state the kind in this form"
+        )
     return name, kind
 
 
@@ -131,7 +133,7 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
     unnamed = [table.topic.name for table in tables if table.topic.name and not table.topic.named]
     kinds = f"; or the kind of a topic: --topic acc={unnamed[0]} or --topic gyro={unnamed[0]}" if unnamed else ""
     return Issue(
-        f"no column has a name of an accelerometer or gyro{why}",
+        f"no column has the name of an accelerometer or gyro{why}",
         ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
         f"time_s, ax, ay, az, gx, gy, gz and similar names; found in {'; '.join(listed)}",
         f"state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax, ay, az, gx, gy, gz){kinds}",
@@ -146,7 +148,7 @@ def _numbered_lines(tables: Sequence[ChosenTable]) -> Issue:
     return Issue(
         f"the lines are of several kinds, which a number distinguishes: {', '.join(listed)}",
         tables[0].topic.where,
-        "lines that say by a word, or an option which are of the accelerometers and which of the gyros",
+        "a word in each line, or an option, that states which lines are of accelerometers and which of gyros",
         f"state it: --topic acc={heavy[0]} --topic gyro={heavy[-1]}",
     )
 

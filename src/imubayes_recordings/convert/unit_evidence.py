@@ -87,7 +87,7 @@ def _stated(
     allowed = ACCEL_UNITS if option == "accel_unit" else GYRO_UNITS
     if given and own - {given}:
         raise input_error(
-            f"the columns {' '.join(names)} are in {' and '.join(sorted(own))}, and {given} is asked for",
+            f"the columns {' '.join(names)} are in {' and '.join(sorted(own))}, but {given} is requested",
             where,
             "the unit that the recording states, or no statement",
             f"leave out --{option.replace('_', '-')} (or {option} of the mapping), or correct the recording",

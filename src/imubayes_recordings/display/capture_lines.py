@@ -44,4 +44,4 @@ def _reached(largest: Mapping[str, float], open_ones: Sequence[Wanted], done: bo
 
 def _up(direction: np.ndarray) -> str:
     axes = [f"{'+' if part > 0 else '−'}{axis}" for axis, part in zip("xyz", direction, strict=True) if part]
-    return f"{axes[0]} points up" if len(axes) == 1 else f"{listed(axes, 3)} point up alike"
+    return f"{axes[0]} points up" if len(axes) == 1 else f"{listed(axes, 3)} point up equally"

@@ -39,7 +39,7 @@ _OF_CAMPAIGN = {
         "preset": "'aligned' or 'trihedral', or body_to_table = [[…], […], […]]",
         "uncertainty_arcmin": "one standard deviation about each axis; without this line the seat is exact",
     },
-    "run": {"procedure": "`imubayes schema campaign` lists them all", "file": "CSV or Parquet"},
+    "run": {"procedure": "`imubayes new FOLDER` without options lists them all", "file": "CSV or Parquet"},
 }
 # A value that nobody has stated: no key takes it.
 OPEN = "?"

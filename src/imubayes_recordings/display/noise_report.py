@@ -155,7 +155,7 @@ def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
         low = f"{significant(square**0.5 / white.output_per_unit)} {density_unit(white.unit)}"
         return (
             f"Gauss–Markov noise with a correlation time of {significant(time)} s and white noise behind a low-pass "
-            f"filter look the same. Of a filter, N is {low}."
+            f"filter look the same. If it is a filter, N is {low}."
         )
     return _CAUSES[cause]
 
@@ -165,7 +165,7 @@ _CAUSES = {
     Cause.UNDESCRIBED: "the noise terms do not describe the spectrum. Give a part of the record without disturbances.",
     Cause.FILTER: "a filter shapes the frequencies that determine it. Give an unfiltered log, or a longer record.",
     Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
-    Cause.CHANGE: "low frequencies hold the change. Give a settled part of the record.",
+    Cause.CHANGE: "low frequencies contain the change. Give a settled part of the record.",
     Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
     Cause.REPETITION: "the log is too coarse to distinguish repeated values from equal ones. Give the sensor's own "
     "log.",

@@ -446,9 +446,9 @@ def _inconsistent(misfit: np.ndarray, gravity: float, file: str) -> list[Finding
     return [
         Finding(
             "axes_do_not_fit", "warning", "",
-            f"gravity carried by the gyros from window to window is off by {np.degrees(np.arcsin(min(angle, 1))):.3g} "
-            "deg for half of the windows",
-            file, "axes of one right-handed system, for gyros and accelerometers alike; scales within some percent",
+            "gravity propagated by the gyros from window to window is off by "
+            f"{np.degrees(np.arcsin(min(angle, 1))):.3g} deg or more in half of the windows",
+            file, "axes of one right-handed system, for gyros and accelerometers alike; scales within a few percent",
             "check input_axis, scale and per of all channels",
         )
     ]  # fmt: skip
@@ -468,5 +468,5 @@ def _notes(log: MotionLog, kept: np.ndarray, knocked: int, misfit: np.ndarray, g
     if knocked:
         notes.append(f"{knocked} windows left out: their force is more than {KNOCKED:g} standard deviations off")
     bias = ", ".join(f"{value:.3g}" for value in np.degrees(gyros.bias))
-    notes.append(f"first estimate of the gyros by gravity: bias ({bias}) deg/s")
+    notes.append(f"first estimate of the gyro biases from gravity: ({bias}) deg/s")
     return tuple(notes)

@@ -56,7 +56,7 @@ def check_axes(
     factor, rest = _common_factor(recording, poses)
     if rest < _BETTER * angle:
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
-        allowed = "gyros that read the turns by their nominal scale, within some percent"
+        allowed = "gyros that read the turns by their nominal scale, within a few percent"
         remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
         far = max(factor, 1 / factor)
         severity = "error" if far > _OTHER_RANGE else "warning"
@@ -348,7 +348,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
     along = ", ".join(f"{part:.2f}" for part in axis + 0.0)
     return [
         f"all poses differ by turns about one axis of the body, ({along}): bias, scale factor and misalignments along "
-        "it stay open; add poses with this axis up and down"
+        "it remain undetermined; add poses with this axis up and down"
     ]
 
 

@@ -185,7 +185,7 @@ def _of_kind(
     yield from _vectors(known, places)
     yield from _products(known, places)
     before = {k: place.columns(2, partial(_rows_before, place.rows)) for k, place in places.items()}
-    yield FormHypothesis("memory", "memory of the input", (), before)
+    yield FormHypothesis("memory", "delayed response to the input", (), before)
     yield from _steps(places, problem)
 
 

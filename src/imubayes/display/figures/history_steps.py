@@ -50,9 +50,9 @@ def error_per_step_figure(steps: Sequence[str], channels: Sequence[ChannelSteps]
     channels : of the path; those that a step changed have a hue.
     """
     caption = (
-        "Line: residual rms of a channel over all rows and runs; short bar: the noise that is known of it beforehand, "
-        "run offsets included. An effect that was missing lowers the line; a noise effect leaves the line and moves "
-        "the bar. In a good last model line and bar meet. Grey: channels that no step changed by more than "
+        "Line: residual rms of a channel over all rows and runs; short bar: its noise known beforehand, run offsets "
+        "included. The addition of a missing effect lowers the line; that of a noise component moves the bar alone. "
+        "In a good last model line and bar meet. Grey: channels that no step changed by more than "
         f"{100 * _NOTICEABLE:.0f} %."
     )
     units = list(dict.fromkeys(each.unit for each in channels))

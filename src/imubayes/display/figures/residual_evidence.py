@@ -221,7 +221,7 @@ def added_variable_figure(
     """
     caption = (
         f"Added-variable plot of {effect}: whitened residual against the part that the effect would explain, both "
-        "projected off what the present model can absorb. Line: expected slope 1. A real effect shows the same slope "
+        "without what the present model can absorb. Line: expected slope 1. A real effect shows the same slope "
         "in every run (colours by mounting or run); a spurious one depends on a few points of one run."
     )
     names = np.array(list(runs))

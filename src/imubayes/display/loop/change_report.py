@@ -273,8 +273,8 @@ def injection_lines(trials: Trials) -> list[str]:
     """Return the outcome in sentences."""
     lines = [
         f"{counted(len(trials.trials), 'effect')} injected one by one into simulated data of "
-        f"'{trials.campaign}', {_size(trials)}: {trials.detected} detected, the right group first for "
-        f"{trials.group_first}."
+        f"'{trials.campaign}', {_size(trials)}: {trials.detected} detected, {trials.group_first} of them with the "
+        "right group ranked first."
     ]
     if trials.nulls:
         rate, count = trials.false_alarms / len(trials.nulls), counted(len(trials.nulls), "draw")

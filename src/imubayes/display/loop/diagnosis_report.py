@@ -19,6 +19,7 @@ from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop import diagnosis_sentences as sentences
 from imubayes.display.numbers_and_labels import command_line
+from imubayes.foundations.covariates import effects_by_need
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.wording import counted
 
@@ -47,7 +48,10 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         "Coefficient: the most significant one; a shape parameter, such as a time constant, has its most probable "
         "value. Δχ²: predicted drop at the noise known beforehand if the effect alone is added. "
     )
-    odds = "Log odds: natural logarithm of the odds of the effect alone against nothing missing. "
+    odds = (
+        "Log odds: natural logarithm of the odds of the effect alone against nothing missing; beside a small "
+        "probability, a large value means that another effect explains the same residual better. "
+    )
     after = (
         "Probability: the sum over all explanations that contain the effect. These runs cannot distinguish the "
         "effects of one group."
@@ -80,7 +84,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
     """Return the effects that these runs cannot show, and what absorbs them."""
     hidden = [each for each in found.undetectable if each.reason != "not_supplied"]
     absent = [each for each in found.undetectable if each.reason == "not_supplied"]
-    without = [f"{each.effect} ({', '.join(each.needs) or 'response zero'})" for each in absent]
+    without = effects_by_need((each.effect, each.needs) for each in absent)
     rows = []
     for each in hidden:
         absorbed = ", ".join(f"{numbers.percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
@@ -93,7 +97,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
             "most affected parameter if the effect is present at its largest typical size."
         )
-    note += f" These need inputs that not all runs supply: {', '.join(without)}." if without else ""
+    note += f" Not all runs supply the inputs of further effects: {without}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 

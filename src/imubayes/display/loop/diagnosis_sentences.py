@@ -329,7 +329,7 @@ def _undetectable_sentence(found: diagnosis.Diagnosis) -> str:
     effects, them = ("effect of the catalogue is", "it") if hidden == 1 else ("effects of the catalogue are", "them")
     said = f" {hidden} {effects} undetectable in these runs."
     worst = found.most_biasing
-    return said if worst is None else f"{said} No interval includes {them}: {bias_clause(worst)}."
+    return said if worst is None else f"{said} No interval includes {them}. Worst case: {bias_clause(worst)}."
 
 
 def bias_clause(bias: ParameterBias) -> str:

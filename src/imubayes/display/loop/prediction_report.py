@@ -192,7 +192,7 @@ def _compared_lines(found: Repeatability) -> Iterator[str]:
     for each in [each for each in found.quantities if each.moved][:3]:
         yield _moved(each, found.days)
     if found.verdict == "differ" and not any(each.moved for each in found.quantities):
-        yield "No single quantity moved by more than chance explains; together they did."
+        yield "No single quantity moved significantly, but together they did."
     yield from _common(found.quantities)
     yield _pooling(found)
     yield from _due(found)
@@ -241,7 +241,7 @@ def _due(found: Repeatability) -> Iterator[str]:
         rate, sd = value_and_sd(each.rate, each.rate_sd)
         drift = f"{each.name} drifts by {rate} ± {sd} {pretty(each.unit)} per year"
         if each.days is None:
-            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between both."
+            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between the two."
         elif each.days == 0:
             yield f"{drift} and is not within its limits now, with k = 2: calibration is due."
         else:

@@ -297,7 +297,7 @@ def _ardupilot_parameters(constants: OnboardConstants) -> list[str]:
     return [
         "# Offsets and scales of the axes x, y, z after the sensor's orientation, before that of the board.",
         "# Set INS_ACC_ID and INS_GYR_ID to the device ids of the sensors on the vehicle: under another id ArduPilot",
-        "# takes a sensor as not calibrated.",
+        "# treats a sensor as not calibrated.",
         "# INS_GYR_CAL is 0: ArduPilot would overwrite the offsets of the gyros with its own at every start. An",
         "# accelerometer or gyro calibration by the ground station overwrites them too.",
         *(f"{name},{_number(value)}" for name, value in values),

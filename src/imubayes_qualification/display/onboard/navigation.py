@@ -15,7 +15,7 @@ from imubayes_qualification.onboard.navigation_impact import ErrorSource, Naviga
 _ROWS = 9
 _ARCMIN = math.degrees(60.0)
 _CAPTION = (
-    "Standard deviations that the calibration alone leaves: start and alignment are exact. Horizontal: root of the sum "
+    "Standard deviations due to the calibration alone: start and alignment are exact. Horizontal: root of the sum "
     "of the variances along North and East (DRMS)."
 )
 _SIZE = (

@@ -23,8 +23,8 @@ _STRONG, _MOST_STRONG = 0.5, 30
 _MOST_DRAWN = 36
 NO_DEGREES = (
     "U = k u is half the length of the 95 % coverage interval of the posterior (JCGM 101). u is the standard deviation "
-    "of the posterior and contains that scatter is known from few rows, so that no degrees of freedom belong to it and "
-    "no factor of Student’s t is to be applied to it again."
+    "of the posterior. It already includes the uncertainty of a scatter that is estimated from few rows, so that it "
+    "has no degrees of freedom, and no factor of Student’s t may be applied to it again."
 )
 """Why no ν stands beside u."""
 _METHOD = (
@@ -36,7 +36,7 @@ _NOTES = (
     "Known to: their own relative standard uncertainty, as the scatter of these runs is known from few rows (GUM "
     "E.4.3). The record has the contribution of each run.",
     "Noise scales: the scatter itself is estimated, and if it is uncertain the estimate moves with it; this is the "
-    "variance of the conditional mean. Second order: what is quadratic in the inputs (GUM 5.1.2, note).",
+    "variance of the conditional mean. Second order: the part that is quadratic in the inputs (GUM 5.1.2, note).",
     "Remainder: posterior variance less all contributions, hence higher orders and Monte Carlo error.",
     f"{NO_DEGREES} If the posterior is not symmetric, its interval is given with the results.",
 )
@@ -46,8 +46,8 @@ _TABLE_NOTE = (
 )
 _FIRST_NOTE = (
     "Halve first: the contribution whose halving, by a better certificate or less noise, leaves the smallest u; the "
-    "weights of all other inputs change with it. Next run: of repetitions of the runs made, and "
-    "of other runs that the equipment allows, the one that narrows the quantity most; a dash if none narrows it by "
+    "weights of all other inputs change with it. Next run: the one that narrows the quantity most, "
+    "among repetitions and other runs that the equipment allows; a dash if none narrows it by "
     "1 %. Both are linear predictions."
 )
 

@@ -47,7 +47,7 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "standard_certificate": "the certificate of {of} has no number",
     "standard_validity": "the date until which the certificate of {of} is valid is not stated",
     "expired": "the certificate of {of} expired before the last run that used it (ISO/IEC 17025, 6.5)",
-    "unused": "no run used what this standard is claimed to trace — {of}",
+    "unused": "no run used the equipment for which this standard is claimed — {of}",
     "repeated_standard": "one standard is listed more than once — {of}",
     "shared_certificate": "certificates of several issuers have the same number — {of}",
     "own_number": "the certificate of {of} has the number of this certificate",
@@ -57,7 +57,7 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "issued_early": "the date of issue is before the last run",
     "validity": "the fit did not converge, or no diagnosis found its model adequate (ISO/IEC 17025, 7.2.2 and 7.7.1)",
     "cmc": "the laboratory states an accreditation but no capabilities (CMC), the lower limit of U (ILAC-P14)",
-    "omitted": "U omits known contributions, which are on the first page, to {of} (ISO/IEC 17025, 7.6.1)",
+    "omitted": "U of {of} omits known contributions, which are listed on the first page (ISO/IEC 17025, 7.6.1)",
 }
 
 
@@ -135,7 +135,7 @@ def statements(report: QualificationReport, found: certificates.Certificate) -> 
     yield (
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
-        "the quantity corresponds to a coverage probability of 95 %; no degrees of freedom are to be applied to it. It "
+        "the quantity corresponds to a coverage probability of 95 %; no degrees of freedom may be applied to it. It "
         "was evaluated by JCGM 100 and JCGM 101 and contains no contribution of long-term stability. This certificate "
         "may be reproduced only in full."
     )

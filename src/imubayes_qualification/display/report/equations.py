@@ -12,11 +12,11 @@ from imubayes_qualification.display.report.document import Block, Equations, Hea
 
 _KINDS = {"gyro": "Gyros", "accelerometer": "Accelerometers"}
 _INTRODUCTION = (
-    "All rows of all runs have one measurement model. Its equations were read off the code that was evaluated; "
-    "quantities are in SI units, temperatures in °C. Ω and f are the inertial rate and the specific force that act on "
+    "All rows of all runs have one measurement model. Its equations are derived from the code of the model. "
+    "Quantities are in SI units, temperatures in °C. Ω and f are the inertial rate and the specific force that act on "
     "a channel, along its nominal input axis i, output axis o, and third axis, s of a gyro and p of an accelerometer; "
-    "y is the output, S_0 and y_0 the nominal scale factor and offset. Each parameter has its value for each channel, "
-    "run, mounting or table that its name in the result table has in brackets."
+    "y is the output, S_0 and y_0 the nominal scale factor and offset. A parameter has a separate value for each "
+    "channel, run, mounting or table; its name in the result table states which in brackets."
 )
 
 
@@ -188,7 +188,7 @@ def measurement_section(model: MeasurementModel) -> Iterator[Block]:
     rows = [
         cells(Cell(each.symbol, formula=True), each.family, each.meaning, pretty(each.unit)) for each in model.symbols
     ]
-    note = "Estimates are in the result table; prior distributions with model and record."
+    note = "Estimates are in the result table; prior distributions are in the annex on model and record."
     yield Sheet(
         "Parameters in the equations", ("symbol", "parameter", "meaning", "unit"), rows, (0, 1, 2, 3), note=note
     )

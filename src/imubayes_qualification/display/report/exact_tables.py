@@ -9,6 +9,7 @@ from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
 from imubayes.foundations.quantity_names import QuantityName
+from imubayes.foundations.wording import counted
 from imubayes_qualification.budgets.taken_as_exact import OMITTED, ExactInput
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.document import without_empty_columns
@@ -182,8 +183,8 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "document contains. They are listed if all together widen U by a twentieth or more. The campaign states no "
         "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
         "the model; wobble and encoder harmonics of a table can only be added as effects. A factor contains only "
-        "the part that the data leave undetermined of each error; annex A has the changes per unit of the whole error. "
-        "Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
+        "that part of each error that the data leave undetermined; annex A has the changes per unit of the whole "
+        "error. Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
         "limit. A limit passes only if all of these together could not carry the value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
@@ -226,11 +227,11 @@ def sensitivity_table(report: QualificationReport) -> Sheet | None:
         "Change of the estimate at T_ref that an error of this size causes while the model takes it as exact. For a "
         "cause with several parameters it is the root sum of squares of their changes. Other sizes act in proportion. "
         "If the data bound such an error, it adds less to u than this change times the plausible size: the factors of "
-        "the first page contain what remains. "
+        "the first page contain the remaining part. "
         "Quantities that the plausible size changes by less than a tenth of u are left out. For each quantity the "
         "channel with the largest change is given."
     )
-    title = "Change of the results per unit of what U omits"
+    title = "Change of the results per unit of each contribution that U omits"
     return without_empty_columns(Sheet(title, head, rows, (0, 1, 2, 3, 7), note=note))
 
 
@@ -268,8 +269,8 @@ def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     causes = dict.fromkeys(_named(cause) for each in found if each.kind == kind for cause in each.causes)
     if not any(each.kind == kind for each in found):
         return ""
-    named = f", of {', '.join(causes)}" if causes else ""
-    return f" {BESIDE}: known contributions{named}, would multiply u and U of this line, which omit them (first page)."
+    named = f" ({', '.join(causes)})" if causes else ""
+    return f" {BESIDE}: factor by which known contributions{named} would multiply u and U of this line (first page)."
 
 
 def _factors(found: Sequence[Omission]) -> str:
@@ -279,7 +280,7 @@ def _factors(found: Sequence[Omission]) -> str:
 def _range(found: Sequence[Omission]) -> str:
     ratios = sorted(each.ratio for each in found)
     ends = dict.fromkeys(ratio_text(each) for each in (ratios[0], ratios[-1]))
-    return f"× {' … '.join(ends)} ({len(found)}, see there)"
+    return f"× {' … '.join(ends)} ({counted(len(found), 'factor')} in that table)"
 
 
 def _named(each: ExactInput) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.foundations.quantity_names import family_of
-from imubayes.foundations.wording import counted
+from imubayes.foundations.wording import agreeing, counted
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.display.report import words
 from imubayes_qualification.display.report.document import Banner, without_empty_columns
@@ -45,7 +45,10 @@ def _sentence(found: record.Conformity) -> str:
         if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
             limits += f" There is no decision on {words.enumerated(undecided, 4)}: {why}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
-    return limits + (f" {counted(conditional, 'result')} conditional: within U of the limit." if conditional else "")
+    if conditional:
+        verb = agreeing(conditional, "is", "are")
+        limits += f" {counted(conditional, 'result')} {verb} conditional: within U of the limit."
+    return limits
 
 
 def alarms(report: record.QualificationReport) -> list[str]:

@@ -8,6 +8,7 @@ from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, set_aside
 from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
+from imubayes.foundations.covariates import effects_by_need
 from imubayes.foundations.wording import agreeing, counted
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.certificate.report_subject import ReportedRun, ReportedTable
@@ -135,7 +136,7 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
             f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
         )
     if adequacy.most_biasing is not None:
-        yield Paragraph(f"No interval includes any of them: {bias_clause(adequacy.most_biasing)}.")
+        yield Paragraph(f"No interval includes any of them. Worst case: {bias_clause(adequacy.most_biasing)}.")
     if adequacy.chi2 is not None:
         ratio = numbers.ratio_text(adequacy.chi2 / adequacy.dof) if adequacy.dof else numbers.NO_NUMBER
         yield Paragraph(
@@ -172,8 +173,8 @@ def _history(adequacy: record.Adequacy) -> Iterator[Block]:
             )
         )  # fmt: skip
     note = (
-        "Each model below the one it was made from. Verdict: of the diagnosis that led to it. χ² is at the noise "
-        "known beforehand. The more models were tried, the more of the agreement is selection."
+        "Each model is below the one from which it was made. Verdict: that of the diagnosis which led to it. χ² is at "
+        "the noise known beforehand. The more models were tried, the more the agreement is due to selection."
     )
     head = ("model", "verdict before", "χ²", "χ²/ν", "")
     yield Sheet("Models tried", head, rows, (0, 1, 4), note=note)
@@ -239,7 +240,7 @@ def left_out_section(found: record.Omissions) -> Iterator[Block]:
     if found.outliers:
         items.append(
             f"The diagnosis found {counted(found.outliers, 'outlier')}. Its search excludes "
-            f"{agreeing(found.outliers, 'it', 'them')}, the fit does not."
+            f"{agreeing(found.outliers, 'it', 'them')}; the fit does not."
         )
     if found.nuisance_parameters:
         items.append(
@@ -266,8 +267,8 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         "Errors that the equipment and all runs share and that no prior of the model describes.",
     ]
     if scope.not_supplied:
-        named = enumerated([f"{effect} ({needs or 'no run responds'})" for effect, needs in scope.not_supplied], 40)
-        items.append(f"Effects that no run could show, with the input that a run would have to supply: {named}.")
+        named = effects_by_need((effect, filter(None, needs.split(", "))) for effect, needs in scope.not_supplied)
+        items.append(f"Effects that no run could show, by the input that a run would have to supply: {named}.")
     if scope.from_priors:
         items.append(
             f"Known from priors alone: {counted(len(scope.from_priors), 'quantity')}, "

@@ -176,7 +176,7 @@ def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omissio
         yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"), beside)
     yield exact_tables.sensitivity_table(report)
     yield Heading("Errors of the unit")
-    nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
+    nothing = Paragraph("There is nothing to draw: the fit did not converge, or no quantity varies in the runs.")
     yield unit_drawings.error_drawings(pictures) or nothing
     yield from result_sections.mounting_section(
         report.mounting_angles, exact_tables.omitted_note(omitted, "angle"), beside

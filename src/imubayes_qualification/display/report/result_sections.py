@@ -147,8 +147,8 @@ def mounting_section(
             "from data", "determined by")  # fmt: skip
     note = (
         "True angle between sensitive axis and axis of rotation; y ± U as for the quantities of the standards. From "
-        "data: 1 − posterior variance / prior variance. That of an axis nominally along the axis of rotation is the "
-        "length of its tilt, whose deviation is never negative. "
+        "data: 1 − posterior variance / prior variance. If an axis is nominally along the axis of rotation, its angle "
+        "is the length of its tilt, whose deviation is never negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash means that the angle is not linear enough in the "
         f"parameters for a share by procedure. {words.digits_text(angles)}{omitted}"

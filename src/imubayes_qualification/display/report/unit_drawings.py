@@ -46,7 +46,7 @@ CAPTION = (
     "Upper panels: error of the unit with its nominal constants (scale factor and bias together; bias alone against "
     "temperature), posterior mean with its 95 % coverage band, which is often narrower than the line. Red: limits of "
     "the specification, if it has them. A good unit stays between the red lines with its whole band. Lower "
-    "panels: what the model leaves, as means of residuals in classes of equal width, in their standard deviations. A "
+    "panels: means of the residuals in classes of equal width, in units of their standard deviations. A "
     "good model leaves no trend: 95 % of the means lie in the grey band, and they change sign often."
 )
 
@@ -139,8 +139,9 @@ def worst_drawing(worst: report_pictures.WorstResidual) -> Drawings:
         axes.set_ylabel("residual / sd")
 
     caption = (
-        f"The class means that stand out most, of {worst.classes} means over all channels and covariates, in their "
-        f"standard deviations. The largest is {worst.largest:.1f}; by chance alone the largest of so many exceeds "
+        "Means of the residuals in classes, for the channel and covariate with the largest of "
+        f"{worst.classes} such means, in units of their standard deviations. The largest is {worst.largest:.1f}; by "
+        "chance alone the largest of so many exceeds "
         f"{worst.expected:.1f} (light band) in 5 % of all reports. Dark band: 95 % of single means. A good result "
         "stays within the light band and shows no trend."
     )

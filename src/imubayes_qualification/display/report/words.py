@@ -23,7 +23,7 @@ OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
     "fail": ("FAIL", "bad"),
 }
 OBSTACLES: dict[Obstacle, str] = {
-    "not_converged": "The fit did not converge. No number of it may be used, and the unit cannot pass.",
+    "not_converged": "The fit did not converge. None of its numbers may be used, and the unit cannot pass.",
     "not_diagnosed": "The model was never diagnosed: whether it describes the data is unknown, and the unit cannot "
     "pass. Run `imubayes diagnose` on the result and make the report again.",
     "inadequate_model": "The model is inadequate: the diagnosis found that it does not describe the data, so the "
@@ -39,7 +39,7 @@ VERDICTS: dict[Verdict, str] = {
     "equivalent_effects": "inadequate: one of several indistinguishable effects is missing, or one is probably missing",
     "unexplained_structure": "inadequate: the data show a cause that no effect of the catalogue explains",
     "noise_model": "inadequate: the noise differs from that of the model",
-    "run_disagrees": "inadequate: one run does not agree with the others, and its record is to be checked",
+    "run_disagrees": "inadequate: one run does not agree with the others, and its record must be checked",
     "undetectable": "undetectable: the runs cannot show the requested effect",
     "not_converged": "none: the fit did not converge",
 }
@@ -47,7 +47,7 @@ NO_DECISION: dict[NoDecision, str] = {
     "probability": "a probability that the rule needs is withheld",
     "not_determined": "less than half of the information came from the data",
     "taken_as_exact": "uncertainties of the equipment that the model takes as exact could put it beyond the limit",
-    "obstacle": "see above",
+    "obstacle": "the unit cannot pass, for a reason listed separately",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
@@ -75,8 +75,8 @@ _RULES: dict[RuleName, str] = {
 RULE_MEANS: dict[RuleName, str] = {
     "simple_acceptance": "accepted within the limits, w = 0",
     "guard_band": "accepted within the limits less w at each, rejected otherwise",
-    "ilac_g8_non_binary": "passed within the limits less w, failed beyond them by more than w, between these a "
-    "conditional pass within the limits and a conditional fail beyond them",
+    "ilac_g8_non_binary": "pass within the limits less w, fail beyond the limits plus w; in between, conditional "
+    "pass within the limits and conditional fail beyond them",
     "conformance_probability": "accepted if p_c is at least that",
     "specific_risk": "accepted if 1 − p_c is at most that",
     "global_risk": "accepted within the limits less w at each, which the production and this risk determine",
