@@ -17,18 +17,18 @@ import numpy as np
 
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
-from imubayes.inference.linear_part import (
-    LinearPart,
-    evenly,
-    linear_part,
-    thinned_scales,
-)
 from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.vector_length import NEAR, Components, components_near_zero
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.responses.instrument_errors import INSTRUMENTS
+from imubayes.results.linear_part import (
+    LinearPart,
+    evenly,
+    linear_part,
+    thinned_scales,
+)
 from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary

@@ -22,7 +22,7 @@ from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.errors import InputError, closest_first
 from imubayes.foundations.quantity_names import QuantityName, family_of
 from imubayes.foundations.units import same_dimension, to_si
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity
 from imubayes.results.temperature_range import (

@@ -20,11 +20,11 @@ from imubayes import load_campaign
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record
-from imubayes.inference.marginal import Marginal
 from imubayes.inference.run_fit import joint_fit
 from imubayes.inference.user_density import sample
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.evaluation.decision_rules import ToleranceInterval, conformance_probability
 from imubayes_qualification.evaluation.input_quantities import InputQuantity
 from imubayes_qualification.evaluation.propagation import propagate
