@@ -21,6 +21,7 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.scale_statistics import ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
@@ -107,23 +108,6 @@ def log_marginal(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> 
     )
     size = about.z.shape[0]
     return fit - 0.5 * log_determinant + 0.5 * size * np.log(2 * np.pi) + log_normaliser(problem, h)
-
-
-def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
-    """Return the inverse of a positive definite matrix, (P, P).
-
-    Some parameters of a servo table are determined to 1e-8 of their prior, and the eigenvalues of their precision
-    differ by more than the rounding of the largest.  Cholesky's factor does not depend on the scale of the parameters,
-    and weak directions are those of the largest variance, which rounding does not touch.
-    """
-    scale = np.sqrt(np.diag(precision))
-    correlated = precision / np.outer(scale, scale)
-    try:
-        lower = np.linalg.cholesky(correlated)
-    except np.linalg.LinAlgError:
-        lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
-    half = np.linalg.solve(lower, np.diag(1 / scale))
-    return half.T @ half
 
 
 def inverse_within(precision: np.ndarray, basis: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.effects.base import AmbientEffect
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
+from imubayes.foundations.numerics import inverse_of_precision
+from imubayes.inference.laplace_marginal import whitened_about
 from imubayes.inference.parameter_fit import linearise_once
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point

@@ -18,6 +18,7 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import noise_sd
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference import laplace_marginal as laplace
@@ -286,7 +287,7 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told
-    covariance = laplace.inverse_of_precision(precision)[np.ix_(shared, shared)]
+    covariance = inverse_of_precision(precision)[np.ix_(shared, shared)]
     scale = np.sqrt(np.diag(covariance))
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))

@@ -22,11 +22,12 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, family_of
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of
+from imubayes.inference.laplace_marginal import precision_of
 from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.posterior_groups import in_units
 from imubayes.loop.joined_runs import JoinedCampaign, joined_campaign

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
-from imubayes import Settings
+from imubayes import Fit, Registry, Settings
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.noise_tests import judged_noise_in, projected
 from imubayes.criticism.diagnose import judge
@@ -32,7 +32,7 @@ from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
 from imubayes.foundations.errors import InputError
 from imubayes.inference.conditional_precision import conditional_precision
-from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.inference.fitted_model import Posterior
 from imubayes.inference.identifiability import from_data
 from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
@@ -44,7 +44,6 @@ from imubayes.inference.posterior_mode import Mode, log_evidence
 from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws
 from imubayes.inference.tabulated_directions import TabulatedDensity, from_normal, log_density
 from imubayes.model.bind import Model, bind
-from imubayes.model.effect_registry import Registry
 from imubayes.model.likelihood import whitened
 from imubayes.model.model_file import ModelSpec
 from imubayes.model.problem import Problem

@@ -22,10 +22,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes import Fit
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem
 from imubayes.results.linear_part import LinearMoments, LinearPart

@@ -24,9 +24,9 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
-from imubayes.inference.laplace_marginal import inverse_of_precision
 from imubayes.results.linear_part import LinearPart
 from imubayes.results.posterior_variance import KnownVariance, variance_of
 from imubayes_qualification.budgets.better_priors import QuantityDerivatives, second_order

@@ -15,8 +15,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
+from imubayes import Fit
+from imubayes.foundations.numerics import inverse_of_precision
+from imubayes.inference.laplace_marginal import whitened_jacobian
 from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.vector_length import NEAR, Components, components_near_zero
 from imubayes.model.problem import Problem

@@ -14,8 +14,9 @@ import numpy as np
 
 from imubayes.campaign.unit_grade import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.inference.laplace_marginal import climb, inverse_of_precision
+from imubayes.inference.laplace_marginal import climb
 from imubayes.inference.linear_information import TOLD, linear_information
 from imubayes.inference.parameter_fit import linearise_once
 from imubayes.model.bind import Model, bind
