@@ -5,6 +5,9 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
+from collections import defaultdict
+from itertools import zip_longest
 
 import pytest
 
@@ -13,18 +16,11 @@ from imubayes.foundations.extensions import answer_to, extensions
 from test_layering import GUESTS, SOURCE, SOURCES, name_of, package
 
 ROOT = SOURCE.parent
-# What a package beside the kernel may use, as a user's own tool may.
-PUBLIC = (
-    "imubayes.api", "imubayes.campaign.campaign_reader", "imubayes.campaign.campaign_writer",
-    "imubayes.cli.registration",
-    "imubayes.cli.session", "imubayes.display.figure_style", "imubayes.display.layout",
-    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.residual_columns",
-    "imubayes.display.shown_records",
-    "imubayes.effects.base", "imubayes.foundations", "imubayes.model.bind", "imubayes.model.model_file",
-    "imubayes.noise.components", "imubayes.parameters", "imubayes.procedures", "imubayes.results",
-)  # fmt: skip
+# What a package beside the kernel may use, as a user's own tool may: the modules that the reference documents.
+SUBJECTS = tomllib.loads((SOURCE / "docs" / "public_modules.toml").read_text(encoding="utf-8"))["subject"]
+PUBLIC = tuple(module for subject in SUBJECTS for module in subject["modules"])
 # Names that each takes from elsewhere in the kernel: they may become fewer.
-FROM_WITHIN = {"imubayes_archive": 51, "imubayes_explorer": 59, "imubayes_qualification": 67, "imubayes_recordings": 33}
+FROM_WITHIN = {"imubayes_archive": 41, "imubayes_explorer": 34, "imubayes_qualification": 23, "imubayes_recordings": 11}
 ALONE = """
 import sys
 sys.path[:0] = sys.argv[1:3]
@@ -104,6 +100,43 @@ def is_public(module: str) -> bool:
 def test_guests_take_no_more_from_within_the_kernel():
     found = taken_from_within({name_of(file): file.read_text(encoding="utf-8") for file in SOURCES})
     assert {guest: len(names) for guest, names in found.items()} == FROM_WITHIN
+
+
+def undocumented(text: str, wanted: set[str]) -> list[str]:
+    """Return the names, of those wanted, that a module defines without a docstring or, if a constant, a comment."""
+    lines, body, found = text.splitlines(), ast.parse(text).body, []
+    for node, after in zip_longest(body, body[1:]):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name in wanted and not ast.get_docstring(node):
+            found.append(node.name)
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+            said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            said = said or "# " in lines[node.lineno - 1].replace("# fmt", "") or lines[node.lineno - 2].startswith("#")
+            found += [name for name in names if name in wanted and not said]
+    return found
+
+
+def test_what_guests_take_from_public_modules_is_documented():
+    taken = defaultdict[str, set[str]](set)
+    for file in SOURCES:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and package(name_of(file)) in GUESTS and is_public(str(node.module)):
+                taken[str(node.module)] |= {alias.name for alias in node.names}
+    sources = {name_of(file): file.read_text(encoding="utf-8") for file in SOURCES}
+    found = {module: undocumented(sources[module], names) for module, names in taken.items() if module in sources}
+    assert {module: names for module, names in found.items() if names} == {}
+
+
+def test_a_name_without_a_docstring_is_seen():
+    text = 'A = 1\nB = 2\n"""Said."""\n# Said.\nC = 3\ndef f():\n    return A\n'
+    assert undocumented(text, {"A", "B", "C", "f"}) == ["A", "f"]
+
+
+def test_every_public_module_is_there():
+    known = {name_of(file) for file in SOURCES} | {name_of(file.parent) for file in SOURCES}
+    assert [module for module in PUBLIC if module not in known] == []
+    assert len(set(PUBLIC)) == len(PUBLIC)
 
 
 def test_a_name_from_within_is_seen():

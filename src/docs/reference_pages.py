@@ -1,8 +1,9 @@
-"""Pages of the reference, made from what they describe: public names, commands, schemas, tables of symbols, documents.
+"""Pages of the reference, made from what they describe: public names and modules, commands, schemas, tables of symbols.
 
 Every function returns pages, file below the sources → text in MyST Markdown.
 """
 
+import ast
 import inspect
 import re
 import tomllib
@@ -26,7 +27,8 @@ Pages = dict[str, str]
 def reference_pages() -> Pages:
     """Return all of them."""
     return {
-        **api_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **procedure_pages(), **adopted_pages()
+        **api_pages(), **module_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **procedure_pages(),
+        **adopted_pages(),
     }  # fmt: skip
 
 
@@ -74,6 +76,48 @@ def _documented(name: str) -> str:
     else:
         kind, options = "autodata", "   :no-value:\n"
     return f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: imubayes.{name}\n{options}```\n\n"
+
+
+def module_pages() -> Pages:
+    """Return the page of the modules that a tool of one's own may import: their names, each with its first sentence."""
+    listed = tomllib.loads((ROOT / "src" / "docs" / "public_modules.toml").read_text(encoding="utf-8"))
+    intro = (
+        "# Modules for tools\n\nA tool beside the package may import these modules, as the packages beside the kernel "
+        "do: every name without a leading underscore. The changelog states a change of one of them. All other modules "
+        "are private and may change.\n"
+    )
+    subjects = [
+        f"## {subject['title']}\n\n{''.join(map(_module_section, _files_of(subject['modules'])))}"
+        for subject in listed["subject"]
+    ]
+    return {"reference/modules.md": "\n".join([intro, *subjects])}
+
+
+def _files_of(modules: list[str]) -> list[Path]:
+    """Return the files of modules, and of packages with all their modules; without those that have no name."""
+    files = []
+    for module in modules:
+        place = ROOT.joinpath("src", *module.split("."))
+        files += sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+    return [file for file in files if names_in(file)]
+
+
+def names_in(file: Path) -> dict[str, str]:
+    """Return the public classes and functions that a module defines, each with the first sentence of its docstring."""
+    body = ast.parse(file.read_text(encoding="utf-8")).body
+    defined = (node for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef))
+    return {
+        node.name: (ast.get_docstring(node) or "").partition("\n\n")[0]
+        for node in defined
+        if not node.name.startswith("_")
+    }
+
+
+def _module_section(file: Path) -> str:
+    module = ".".join(file.relative_to(ROOT / "src").with_suffix("").parts)
+    said = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    rows = [(f"`{name}`", text) for name, text in names_in(file).items()]
+    return f"### `{module}`\n\n{said.partition('\n\n')[0]}\n\n{table(('name', 'contents'), rows)}\n"
 
 
 def command_pages() -> Pages:

@@ -19,6 +19,7 @@ Verdict = Literal[
     "undetectable",
     "not_converged",
 ]
+"""The verdict of a diagnosis: that of its most probable explanation, or why there is none."""
 
 
 class CoefficientEstimate(Record):

@@ -25,7 +25,9 @@ from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, name_o
 from imubayes.foundations.records import Record
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation"]
+"""Grade of a unit, which chooses the default priors."""
 GRADES: tuple[Grade, ...] = get_args(Grade)
+"""All grades, the coarsest first."""
 
 
 def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grade: Grade) -> str:

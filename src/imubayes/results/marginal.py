@@ -18,6 +18,7 @@ from imubayes.foundations.numerics import leading_decade
 from imubayes.foundations.tail_probabilities import normal_survival
 
 Digits = Literal[1, 2]
+"""Significant digits of a standard uncertainty."""
 _INTERVAL = (0.025, 0.975)
 
 
