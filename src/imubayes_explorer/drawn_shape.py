@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.formula_search import ResidualFormula, Term, TermsBeside
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import Term, TermsBeside
 from imubayes.foundations.covariates import Covariate, regressors
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.records import Record

@@ -26,7 +26,8 @@ from imubayes.criticism.evidence.hypothesis_evidence import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import FormScan, states_noise
 from imubayes.criticism.evidence.proposals import Screen, conditional
-from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import find_formula, terms_beside, terms_of
 from imubayes.display.numbers_and_labels import pretty, rounded
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell

@@ -15,7 +15,8 @@ from test_one_number import made
 from imubayes.criticism.diagnosis_record import ranking
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
-from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit, find_formula
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import coefficient_unit, find_formula
 from imubayes.criticism.residual_evidence import outliers
 from imubayes.foundations.campaign_data import Channel
 from imubayes.inference.fitted_model import Fit

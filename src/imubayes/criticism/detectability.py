@@ -19,8 +19,7 @@ from imubayes.adequacy.known_noise import known_scales
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
-from imubayes.criticism.explanation_records import NAMED_ODDS
-from imubayes.foundations.records import Record
+from imubayes.criticism.explanation_records import NAMED_ODDS, Absorber, NeglectedUncertainty, ParameterBias
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
@@ -38,55 +37,6 @@ ABSORBER_SHARE = 0.01
 NEGLECTED_SHIFT = 0.5
 """Posterior standard deviations by which a neglected uncertainty, or an effect that the runs cannot show, shifts a
 parameter, to be told (convention)."""
-
-
-@dataclass(frozen=True)
-class Absorber:
-    """What hides an effect: parameter family (`effect.parameter`, or `RUN_OFFSETS`) and its share of the response."""
-
-    parameter: str
-    share: float
-
-
-@dataclass(frozen=True)
-class ParameterBias:
-    """The parameter that an effect of the largest typical size biases most while undetected.
-
-    None of that size is assumed where the campaign states the uncertainty of the equipment.
-
-    Attributes
-    ----------
-    parameter, unit : name and unit.
-    value, in_sd : the bias, in that unit and in posterior standard deviations.
-    coefficient, size, size_unit : of the coefficients of the effect the one that biases most, with its largest typical
-        size.
-    """
-
-    parameter: str
-    unit: str
-    value: float
-    in_sd: float
-    coefficient: str = ""
-    size: float = 0.0
-    size_unit: str = ""
-
-
-class NeglectedUncertainty(Record):
-    """A standard uncertainty that the campaign states of its equipment and the model takes as exact.
-
-    Attributes
-    ----------
-    effect, parameter : what describes it, and its parameter as it would be named in the model.
-    value, unit : as stated.
-    shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
-    """
-
-    effect: str
-    parameter: str
-    value: float
-    unit: str
-    shifts: str
-    in_sd: float
 
 
 @dataclass(frozen=True)

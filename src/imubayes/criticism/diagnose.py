@@ -25,7 +25,8 @@ from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior
 from imubayes.criticism.evidence.noise_structures import Family, RunNoise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
-from imubayes.criticism.formula_search import ResidualFormula, find_formula
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import find_formula
 from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
 from imubayes.effects.base import Effect
 from imubayes.foundations.campaign_data import Campaign

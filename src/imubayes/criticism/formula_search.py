@@ -21,10 +21,10 @@ from imubayes.criticism.evidence.free_forms import HARMONICS, HIGHEST_POWER, PLA
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL
 from imubayes.criticism.evidence.proposals import base_columns
-from imubayes.criticism.explanation_records import NAMED_ODDS, NEAR
+from imubayes.criticism.explanation_records import NAMED_ODDS, NEAR, FormulaTerm, ResidualFormula
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import Covariate, regressors
-from imubayes.foundations.records import Record, finite
+from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.residual_covariates import ResidualCovariate
 
@@ -205,49 +205,6 @@ def _power_unit(unit: str, power: int) -> str:
 
 _MOST_TERMS, _RESAMPLES = 3, 200
 """Terms of a formula at most; times that runs are resampled."""
-
-
-class FormulaTerm(Record):
-    """One term of a formula, with its coefficient at the input.
-
-    Attributes
-    ----------
-    shape : the term in symbols.
-    expression : the term in Python, in SI, for an effect's `sample`.
-    needs : covariates that a run has to supply.
-    value, sd, unit : coefficient.
-    delta_chi2 : drop of χ² when the term was selected.
-    log_odds : natural logarithm of the odds for it, all terms of the library counted.
-    """
-
-    shape: str
-    expression: str
-    needs: tuple[str, ...]
-    value: float
-    sd: float | None
-    unit: str
-    delta_chi2: float
-    log_odds: float
-
-
-class ResidualFormula(Record):
-    """The simplest formula for what no effect of the catalogue explains on a channel.
-
-    Attributes
-    ----------
-    kind : kind of the channel.
-    shape : the formula in symbols: the sum of the terms.
-    terms : with their coefficients at the input, in the order of selection.
-    inclusion : how often the first term comes first when runs are resampled.
-    near : terms that fit almost as well as the first, in symbols.
-    """
-
-    channel: str
-    kind: str
-    shape: str
-    terms: tuple[FormulaTerm, ...]
-    inclusion: float
-    near: tuple[str, ...]
 
 
 @dataclass(frozen=True)

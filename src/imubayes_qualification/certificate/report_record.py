@@ -9,8 +9,7 @@ import math
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.explanation_records import Evidence, Verdict
+from imubayes.criticism.explanation_records import Evidence, ParameterBias, Verdict
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import closest_first
 from imubayes.foundations.records import Record
