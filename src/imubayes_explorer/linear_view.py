@@ -31,7 +31,7 @@ from imubayes.criticism.formula_search import find_formula, terms_beside, terms_
 from imubayes.display.numbers_and_labels import pretty, rounded
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes

@@ -23,7 +23,7 @@ from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals

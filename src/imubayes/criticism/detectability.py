@@ -23,7 +23,7 @@ from imubayes.criticism.explanation_records import NAMED_ODDS, Absorber, Neglect
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import candidate_responses

@@ -49,6 +49,8 @@ def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grad
 
 
 Kind = Literal["gyro", "accelerometer", "angle"]
+KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
+"""Kinds of inertial sensors, sorted: JAX walks through a dictionary in this order."""
 INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
 """Unit in which inputs and residuals at the input are stated, by kind of channel."""
 

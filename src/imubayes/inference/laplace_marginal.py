@@ -25,7 +25,7 @@ from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.scale_statistics import ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
-from imubayes.model.noise_covariance import group_sum, whiten, whitener
+from imubayes.model.noise_covariance import group_sum, whitener
 from imubayes.model.problem import Problem, masked, prior_widths
 
 
@@ -68,26 +68,6 @@ def precision_of(
     """Return what chosen entries, (E,) bool, or all say of θ in z, without the prior; shape (P, P)."""
     some = problem if chosen is None else masked(problem, ~chosen)
     return knowledge(some, on_host(about), np.asarray(h)).precision
-
-
-def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> np.ndarray:
-    """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
-    return whitened_columns(problem, h, about.jacobian)
-
-
-def whitened_columns(problem: Problem, h: Float[Array, " H"], columns: np.ndarray) -> np.ndarray:
-    """Return columns (E, …), in output units, whitened by the noise at scales h."""
-    return whiten(problem, whitener(problem, np.asarray(h)), np.asarray(columns))
-
-
-def whitened_about(
-    problem: Problem, about: Linearised, h: Float[Array, " H"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
-    h, about = np.asarray(h), on_host(about)
-    by = whitener(problem, h)
-    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
-    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
 
 
 def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.foundations.campaign_data import KINDS
 from imubayes.foundations.quantity_names import AXIS_ANGLE, MOUNTING_ANGLE, QuantityName
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.derived_quantities import evaluate_derived, evaluate_directions
-from imubayes.model.nodes_and_entries import KINDS
 
 # An angle closer to 0° or 180° than this many standard deviations of its components is near it: at four the standard
 # deviation by its gradient is that of the angle to 3 %.

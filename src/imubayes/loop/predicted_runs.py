@@ -23,7 +23,7 @@ from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference import laplace_marginal as laplace
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.parameter_fit import Linearised, linearise
+from imubayes.inference.parameter_fit import Linearised, linearise, whitened_about
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
@@ -254,7 +254,7 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
 
     def at(point: np.ndarray) -> _OwnFit:
         about = linearise(problem, np.asarray(point))
-        residual, jacobian, widths = white = laplace.whitened_about(problem, about, h)
+        residual, jacobian, widths = white = whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
         return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
 
