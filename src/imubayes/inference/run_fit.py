@@ -19,7 +19,7 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.conditional_precision import conditional_precision
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
 from imubayes.inference.fitted_model import Fit, Posterior
-from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh_tail
+from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh, weigh_tail
 from imubayes.inference.nested_laplace import NestedLaplace, curved_directions, nested_laplace
 from imubayes.inference.noise_scale_modes import NEGLIGIBLE, ScaleModes, modes_of_scales, posterior_points, resampled
 from imubayes.inference.parameter_fit import fit_at
@@ -37,6 +37,8 @@ _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
+# Points whose density is evaluated together for weights alone.
+_WEIGHED_AT_ONCE = 64
 # An end of the 95 % interval of a normal posterior has a Monte Carlo error of 2.67 u/√n.  At 11 400 draws twice that is
 # half a unit of the first digit of u (JCGM 101, 7.9), a twentieth of a u that begins with 9; and a margin for the error
 # of the error itself.
@@ -282,6 +284,17 @@ def redrawn(fit: Fit, count: int) -> Fit:
     problem = fit.model.problem
     points = posterior_points(problem, modes_of_scales(problem, fit.mode), approximation, count)
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
+
+
+def weighed_draws(fit: Fit, count: int, seed: int) -> WeighedProposal | None:
+    """Return so many draws of the Laplace approximation of a fit with their importance weights, which judge it.
+
+    None if no draw is possible.
+    """
+    assert fit.posterior is not None
+    problem = fit.model.problem
+    density = LogDensity(problem, _WEIGHED_AT_ONCE)
+    return weigh(density, LaplaceProposal(fit.posterior.approximation, problem), 1, count, seed)
 
 
 class UnbentDraws(eqx.Module):

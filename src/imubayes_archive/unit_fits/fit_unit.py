@@ -31,11 +31,11 @@ from imubayes.foundations.errors import InputError
 from imubayes.foundations.progress import silent
 from imubayes.inference.identifiability import from_data
 from imubayes.inference.laplace_marginal import Curvature
-from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
+from imubayes.inference.laplace_proposal import PARETO_K
 from imubayes.inference.nested_laplace import HyperProbes, hyper_probes
 from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.posterior_mode import Mode, log_evidence
-from imubayes.inference.run_fit import UnbentDraws, fit_of_draws, joint_fit
+from imubayes.inference.run_fit import UnbentDraws, fit_of_draws, joint_fit, weighed_draws
 from imubayes.inference.tabulated_directions import TabulatedDensity, from_normal, log_density
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import whitened
@@ -56,8 +56,8 @@ from imubayes_archive.unit_fits.posterior_table import (
     UnitPosterior,
 )
 
-# Draws weighed, and those of a block.  Effort: weighted moments are known to 0.03 standard deviations.
-_DRAWS, _BATCH = 1000, 64
+# Draws weighed.  Effort: weighted moments are known to 0.03 standard deviations.
+_DRAWS = 1000
 # Where the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and the shape of weights that hardly differ does not matter.
 _LARGEST = 2.5
@@ -99,10 +99,7 @@ def weight_shape(fit: Fit, seed: int) -> WeightShape:
     fit : with a posterior by the Laplace approximation.
     seed : of the draws.
     """
-    assert fit.posterior is not None
-    problem = fit.model.problem
-    proposal = LaplaceProposal(fit.posterior.approximation, problem)
-    weighed = weigh(LogDensity(problem, _BATCH), proposal, 1, _DRAWS, seed)
+    weighed = weighed_draws(fit, _DRAWS, seed)
     if weighed is None:
         return WeightShape(np.inf, np.inf, np.inf, np.inf)
     return shape_of(weighed.points[0], weighed.weight[0], weighed.pareto_k)
