@@ -7,6 +7,7 @@ import sys
 import sysconfig
 import tomllib
 from collections import defaultdict
+from importlib import import_module
 from itertools import zip_longest
 
 import pytest
@@ -16,9 +17,11 @@ from imubayes.foundations.extensions import answer_to, extensions
 from test_layering import GUESTS, SOURCE, SOURCES, name_of, package
 
 ROOT = SOURCE.parent
-# What a package beside the kernel may use, as a user's own tool may: the modules that the reference documents.
+# What a package beside the kernel may use, as a user's own tool may: the names that the reference documents.
 SUBJECTS = tomllib.loads((SOURCE / "docs" / "public_modules.toml").read_text(encoding="utf-8"))["subject"]
 PUBLIC = tuple(module for subject in SUBJECTS for module in subject["modules"])
+LISTED = {module: names for subject in SUBJECTS for module, names in subject.get("names", {}).items()}
+MODULES = {name_of(file) for file in SOURCES} | {name_of(file.parent) for file in SOURCES}
 # Names that each takes from elsewhere in the kernel: they may become fewer.
 FROM_WITHIN = {"imubayes_archive": 17, "imubayes_explorer": 0, "imubayes_qualification": 0, "imubayes_recordings": 0}
 ALONE = """
@@ -79,22 +82,34 @@ def test_an_option_that_nothing_answers_is_refused():
 
 
 def taken_from_within(sources: dict[str, str]) -> dict[str, set[str]]:
-    """Return the names of the kernel that each guest imports from modules that are not public."""
+    """Return the names of the kernel that each guest takes and that are not public."""
     found: dict[str, set[str]] = {guest: set() for guest in GUESTS}
-    modules = {name_of(file) for file in SOURCES}
     for module, text in sources.items():
-        if package(module) not in GUESTS:
-            continue
-        for node in ast.walk(ast.parse(text)):
-            source = str(node.module) if isinstance(node, ast.ImportFrom) else ""
-            if package(source) == "imubayes" and not is_public(source):
-                names = {f"{source}.{alias.name}" for alias in node.names}
-                found[package(module)] |= {name for name in names if name not in modules or not is_public(name)}
+        if package(module) in GUESTS:
+            found[package(module)] |= {".".join(each) for each in taken(text) if not is_public(*each)}
     return found
 
 
-def is_public(module: str) -> bool:
-    return module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+def taken(text: str) -> set[tuple[str, str]]:
+    """Return the modules and names of the kernel that a source takes: imports, and attributes of imported modules."""
+    tree, modules, found = ast.parse(text), dict[str, str](), set[tuple[str, str]]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and package(str(node.module)) == "imubayes":
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                if whole in MODULES:
+                    modules[alias.asname or alias.name] = whole
+                else:
+                    found.add((str(node.module), alias.name))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            found.add((modules[node.value.id], node.attr))
+    return found
+
+
+def is_public(module: str, name: str) -> bool:
+    whole = module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+    return whole or name in LISTED.get(module, ())
 
 
 def test_guests_take_no_more_from_within_the_kernel():
@@ -117,14 +132,14 @@ def undocumented(text: str, wanted: set[str]) -> list[str]:
     return found
 
 
-def test_what_guests_take_from_public_modules_is_documented():
-    taken = defaultdict[str, set[str]](set)
-    for file in SOURCES:
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and package(name_of(file)) in GUESTS and is_public(str(node.module)):
-                taken[str(node.module)] |= {alias.name for alias in node.names}
+def test_public_names_that_guests_take_are_documented():
+    used = defaultdict[str, set[str]](set, {module: set(names) for module, names in LISTED.items()})
     sources = {name_of(file): file.read_text(encoding="utf-8") for file in SOURCES}
-    found = {module: undocumented(sources[module], names) for module, names in taken.items() if module in sources}
+    for module, text in sources.items():
+        for source, name in taken(text) if package(module) in GUESTS else ():
+            if is_public(source, name):
+                used[source].add(name)
+    found = {module: undocumented(sources[module], names) for module, names in used.items() if module in sources}
     assert {module: names for module, names in found.items() if names} == {}
 
 
@@ -133,13 +148,17 @@ def test_a_name_without_a_docstring_is_seen():
     assert undocumented(text, {"A", "B", "C", "f"}) == ["A", "f"]
 
 
-def test_every_public_module_is_there():
-    known = {name_of(file) for file in SOURCES} | {name_of(file.parent) for file in SOURCES}
-    assert [module for module in PUBLIC if module not in known] == []
-    assert len(set(PUBLIC)) == len(PUBLIC)
+def test_every_public_name_is_there_once():
+    assert [module for module in (*PUBLIC, *LISTED) if module not in MODULES] == []
+    assert len({*PUBLIC, *LISTED}) == len(PUBLIC) + len(LISTED)
+    listed = ((import_module(module), name) for module, names in LISTED.items() for name in names)
+    assert [name for module, name in listed if not hasattr(module, name)] == []
 
 
 def test_a_name_from_within_is_seen():
-    text = "from imubayes.inference.run_fit import joint_fit\nfrom imubayes.foundations.units import to_si"
+    text = (
+        "from imubayes.inference.run_fit import joint_fit, redrawn\nfrom imubayes.foundations.units import to_si\n"
+        "from imubayes.model import problem as arrays\nbest = arrays.predict, arrays.placed"
+    )
     found = taken_from_within({"imubayes_archive.unit_fits.new": text})
-    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.joint_fit"}
+    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.redrawn", "imubayes.model.problem.placed"}

@@ -8,6 +8,7 @@ import inspect
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +83,22 @@ def module_pages() -> Pages:
     """Return the page of the modules that a tool of one's own may import: their names, each with its first sentence."""
     listed = tomllib.loads((ROOT / "src" / "docs" / "public_modules.toml").read_text(encoding="utf-8"))
     intro = (
-        "# Modules for tools\n\nA tool beside the package may import these modules, as the packages beside the kernel "
-        "do: every name without a leading underscore. The changelog states a change of one of them. All other modules "
-        "are private and may change.\n"
+        "# Modules for tools\n\nA tool beside the package may import these names, as the packages beside the kernel do. "
+        "A change of one of them is stated in the changelog. All other names are private and may change.\n"
     )
-    subjects = [
-        f"## {subject['title']}\n\n{''.join(map(_module_section, _files_of(subject['modules'])))}"
-        for subject in listed["subject"]
-    ]
-    return {"reference/modules.md": "\n".join([intro, *subjects])}
+    return {"reference/modules.md": "\n".join([intro, *map(_subject, listed["subject"])])}
+
+
+def _subject(subject: dict[str, Any]) -> str:
+    """Return the section of a subject: its modules with all names, then those of which some are public."""
+    whole = {file: names_in(file) for file in _files_of(subject["modules"])}
+    some = {
+        file: {name: known.get(name, "") for name in names}
+        for module, names in subject.get("names", {}).items()
+        for file in _files_of([module])
+        for known in (names_in(file, constants=True),)
+    }
+    return f"## {subject['title']}\n\n{''.join(_module_section(*each) for each in (whole | some).items())}"
 
 
 def _files_of(modules: list[str]) -> list[Path]:
@@ -102,21 +110,26 @@ def _files_of(modules: list[str]) -> list[Path]:
     return [file for file in files if names_in(file)]
 
 
-def names_in(file: Path) -> dict[str, str]:
-    """Return the public classes and functions that a module defines, each with the first sentence of its docstring."""
-    body = ast.parse(file.read_text(encoding="utf-8")).body
-    defined = (node for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef))
-    return {
-        node.name: (ast.get_docstring(node) or "").partition("\n\n")[0]
-        for node in defined
-        if not node.name.startswith("_")
-    }
+def names_in(file: Path, *, constants: bool = False) -> dict[str, str]:
+    """Return the public classes and functions that a module defines, each with the first paragraph of its docstring.
+
+    With constants, each with the docstring after it.
+    """
+    body, found = ast.parse(file.read_text(encoding="utf-8")).body, dict[str, str]()
+    for node, after in zip_longest(body, body[1:]):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found[node.name] = (ast.get_docstring(node) or "").partition("\n\n")[0]
+        elif constants and isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(after, ast.Expr):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+            found |= dict.fromkeys(names, str(ast.literal_eval(after.value)).partition("\n\n")[0])
+    return {name: text for name, text in found.items() if not name.startswith("_")}
 
 
-def _module_section(file: Path) -> str:
+def _module_section(file: Path, names: Mapping[str, str]) -> str:
     module = ".".join(file.relative_to(ROOT / "src").with_suffix("").parts)
     said = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    rows = [(f"`{name}`", text) for name, text in names_in(file).items()]
+    rows = [(f"`{name}`", text) for name, text in names.items()]
     return f"### `{module}`\n\n{said.partition('\n\n')[0]}\n\n{table(('name', 'contents'), rows)}\n"
 
 

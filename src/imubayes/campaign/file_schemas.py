@@ -35,9 +35,11 @@ _TEXT = rf"^[^{_CONTROL}]*$"
 _STEP = rf"(?:\.?[^/\\.{_CONTROL}][^/\\{_CONTROL}]*|\.|\.\.[^/\\{_CONTROL}]+)"
 _FILE_WITHIN = rf"^{_STEP}(?:/{_STEP})*$"
 Text = Annotated[str, Field(pattern=_TEXT)]
+"""Text without control characters."""
 FileWithin = Annotated[str, Field(pattern=_FILE_WITHIN)]
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 COUNTRY = "^[A-Z]{2}$"
+"""Pattern of a country code, ISO 3166-1 alpha-2."""
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
@@ -48,7 +50,8 @@ Millionths = Annotated[float, Field(ge=0, le=1e6)]
 Percent = Annotated[float, Field(ge=0, le=100)]
 Micrometres = Annotated[float, Field(ge=0, le=1e8)]
 _LEAST_LENGTH = 1e-9
-ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
+ABSURD = 1e30
+"""No instrument reads as much, and squares of more than 1e154 overflow."""
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 TemperatureUncertainty = Annotated[float, Field(ge=0, le=100)]
 

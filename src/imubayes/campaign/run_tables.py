@@ -28,6 +28,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.procedures import Procedure, Reduction
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
+"""Columns with a fixed meaning that hold text."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from imubayes.foundations.covariates import REFERENCE_TEMPERATURE, ambient_names
 from imubayes.foundations.signal_path_state import Ambient, Experience, Nodes, Sample, SignalPath
 from imubayes.model.signal_path import Channels, Layer, initial_path, project, propagate
 
-WARMED_UP = 1e9  # s since power-on: longer than any warm-up
+WARMED_UP = 1e9
+"""Time since power-on that is longer than any warm-up, s."""
 
 
 class SensitivityInputs(eqx.Module):
