@@ -83,7 +83,7 @@ def module_pages() -> Pages:
     """Return the page of the modules that a tool of one's own may import: their names, each with its first sentence."""
     listed = tomllib.loads((ROOT / "src" / "docs" / "public_modules.toml").read_text(encoding="utf-8"))
     intro = (
-        "# Modules for tools\n\nA tool beside the package may import these names, as the packages beside the kernel do. "
+        "# Modules for tools\n\nA tool beside the package may import these names, as packages beside the kernel do. "
         "A change of one of them is stated in the changelog. All other names are private and may change.\n"
     )
     return {"reference/modules.md": "\n".join([intro, *map(_subject, listed["subject"])])}
@@ -113,16 +113,20 @@ def _files_of(modules: list[str]) -> list[Path]:
 def names_in(file: Path, *, constants: bool = False) -> dict[str, str]:
     """Return the public classes and functions that a module defines, each with the first paragraph of its docstring.
 
-    With constants, each with the docstring after it.
+    With constants, each with the docstring after it or the comment beside it.
     """
-    body, found = ast.parse(file.read_text(encoding="utf-8")).body, dict[str, str]()
+    text, found = file.read_text(encoding="utf-8"), dict[str, str]()
+    body, lines = ast.parse(text).body, text.splitlines()
     for node, after in zip_longest(body, body[1:]):
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             found[node.name] = (ast.get_docstring(node) or "").partition("\n\n")[0]
-        elif constants and isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(after, ast.Expr):
+        elif constants and isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             names = [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
-            found |= dict.fromkeys(names, str(ast.literal_eval(after.value)).partition("\n\n")[0])
+            docstring = (
+                after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+            )
+            found |= dict.fromkeys(names, str(docstring or lines[node.lineno - 1].partition("  # ")[2]))
     return {name: text for name, text in found.items() if not name.startswith("_")}
 
 

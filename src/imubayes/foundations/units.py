@@ -19,6 +19,8 @@ BIAS_CONVENTION = (
     "A bias is referred to the input: output = nominal scale · (1 + scale factor error) · (input + bias + …) + offset. "
     "The b of an export is referred to the output: b = (1 + scale factor error) · bias, subtracted first."
 )
+ABSURD = 1e30
+"""No instrument reads as much in any unit, and squares of more than 1e154 overflow."""
 DAYS_PER_YEAR = 365.25  # of the Julian year
 # A number with its unit after it, as options state them: `20 degC`.
 NUMBER_AND_UNIT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
