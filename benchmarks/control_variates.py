@@ -12,12 +12,12 @@ from common import ROOT, Report
 from imubayes.campaign import load_campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, weigh
-from imubayes.inference.marginal import Marginal, numerical_tolerance
-from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.model_file import read_model
+from imubayes.results.marginal import Marginal, numerical_tolerance
+from imubayes.results.posterior_groups import in_units
 from imubayes.results.summary import is_constant
 
 # Campaigns with their models and the number of independent sets of draws.

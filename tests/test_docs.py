@@ -60,6 +60,14 @@ def test_every_public_name_is_documented_in_its_group():
     assert all(f"imubayes.{name}\n" in pages for name in imubayes.__all__)
 
 
+def test_every_name_of_a_public_module_is_listed():
+    page = reference_pages.module_pages()["reference/modules.md"]
+    assert "### `imubayes.results.summary`" in page
+    assert "| `Summary` | " in page
+    assert "| `_" not in page
+    assert re.findall(r"^\| `\w+` \| +\|$", page, re.MULTILINE) == []
+
+
 def test_every_key_of_a_campaign_is_listed():
     page = reference_pages.schema_pages()["reference/formats/campaign.md"]
     schema = CampaignFile.model_json_schema()

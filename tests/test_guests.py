@@ -5,6 +5,10 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
+from collections import defaultdict
+from importlib import import_module
+from itertools import zip_longest
 
 import pytest
 
@@ -13,18 +17,13 @@ from imubayes.foundations.extensions import answer_to, extensions
 from test_layering import GUESTS, SOURCE, SOURCES, name_of, package
 
 ROOT = SOURCE.parent
-# What a package beside the kernel may use, as a user's own tool may.
-PUBLIC = (
-    "imubayes.api", "imubayes.campaign.campaign_reader", "imubayes.campaign.campaign_writer",
-    "imubayes.cli.registration",
-    "imubayes.cli.session", "imubayes.display.figure_style", "imubayes.display.layout",
-    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.residual_columns",
-    "imubayes.display.shown_records",
-    "imubayes.effects.base", "imubayes.foundations", "imubayes.model.bind", "imubayes.model.model_file",
-    "imubayes.noise.components", "imubayes.parameters", "imubayes.procedures", "imubayes.results",
-)  # fmt: skip
+# What a package beside the kernel may use, as a user's own tool may: the names that the reference documents.
+SUBJECTS = tomllib.loads((SOURCE / "docs" / "public_modules.toml").read_text(encoding="utf-8"))["subject"]
+PUBLIC = tuple(module for subject in SUBJECTS for module in subject["modules"])
+LISTED = {module: names for subject in SUBJECTS for module, names in subject.get("names", {}).items()}
+MODULES = {name_of(file) for file in SOURCES} | {name_of(file.parent) for file in SOURCES}
 # Names that each takes from elsewhere in the kernel: they may become fewer.
-FROM_WITHIN = {"imubayes_archive": 53, "imubayes_explorer": 60, "imubayes_qualification": 90, "imubayes_recordings": 36}
+FROM_WITHIN = {"imubayes_archive": 17, "imubayes_explorer": 0, "imubayes_qualification": 0, "imubayes_recordings": 0}
 ALONE = """
 import sys
 sys.path[:0] = sys.argv[1:3]
@@ -83,22 +82,34 @@ def test_an_option_that_nothing_answers_is_refused():
 
 
 def taken_from_within(sources: dict[str, str]) -> dict[str, set[str]]:
-    """Return the names of the kernel that each guest imports from modules that are not public."""
+    """Return the names of the kernel that each guest takes and that are not public."""
     found: dict[str, set[str]] = {guest: set() for guest in GUESTS}
-    modules = {name_of(file) for file in SOURCES}
     for module, text in sources.items():
-        if package(module) not in GUESTS:
-            continue
-        for node in ast.walk(ast.parse(text)):
-            source = str(node.module) if isinstance(node, ast.ImportFrom) else ""
-            if package(source) == "imubayes" and not is_public(source):
-                names = {f"{source}.{alias.name}" for alias in node.names}
-                found[package(module)] |= {name for name in names if name not in modules or not is_public(name)}
+        if package(module) in GUESTS:
+            found[package(module)] |= {".".join(each) for each in taken(text) if not is_public(*each)}
     return found
 
 
-def is_public(module: str) -> bool:
-    return module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+def taken(text: str) -> set[tuple[str, str]]:
+    """Return the modules and names of the kernel that a source takes: imports, and attributes of imported modules."""
+    tree, modules, found = ast.parse(text), dict[str, str](), set[tuple[str, str]]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and package(str(node.module)) == "imubayes":
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                if whole in MODULES:
+                    modules[alias.asname or alias.name] = whole
+                else:
+                    found.add((str(node.module), alias.name))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            found.add((modules[node.value.id], node.attr))
+    return found
+
+
+def is_public(module: str, name: str) -> bool:
+    whole = module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+    return whole or name in LISTED.get(module, ())
 
 
 def test_guests_take_no_more_from_within_the_kernel():
@@ -106,7 +117,48 @@ def test_guests_take_no_more_from_within_the_kernel():
     assert {guest: len(names) for guest, names in found.items()} == FROM_WITHIN
 
 
+def undocumented(text: str, wanted: set[str]) -> list[str]:
+    """Return the names, of those wanted, that a module defines without a docstring or, if a constant, a comment."""
+    lines, body, found = text.splitlines(), ast.parse(text).body, []
+    for node, after in zip_longest(body, body[1:]):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name in wanted and not ast.get_docstring(node):
+            found.append(node.name)
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+            said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            said = said or "# " in lines[node.lineno - 1].replace("# fmt", "") or lines[node.lineno - 2].startswith("#")
+            found += [name for name in names if name in wanted and not said]
+    return found
+
+
+def test_public_names_that_guests_take_are_documented():
+    used = defaultdict[str, set[str]](set, {module: set(names) for module, names in LISTED.items()})
+    sources = {name_of(file): file.read_text(encoding="utf-8") for file in SOURCES}
+    for module, text in sources.items():
+        for source, name in taken(text) if package(module) in GUESTS else ():
+            if is_public(source, name):
+                used[source].add(name)
+    found = {module: undocumented(sources[module], names) for module, names in used.items() if module in sources}
+    assert {module: names for module, names in found.items() if names} == {}
+
+
+def test_a_name_without_a_docstring_is_seen():
+    text = 'A = 1\nB = 2\n"""Said."""\n# Said.\nC = 3\ndef f():\n    return A\n'
+    assert undocumented(text, {"A", "B", "C", "f"}) == ["A", "f"]
+
+
+def test_every_public_name_is_there_once():
+    assert [module for module in (*PUBLIC, *LISTED) if module not in MODULES] == []
+    assert len({*PUBLIC, *LISTED}) == len(PUBLIC) + len(LISTED)
+    listed = ((import_module(module), name) for module, names in LISTED.items() for name in names)
+    assert [name for module, name in listed if not hasattr(module, name)] == []
+
+
 def test_a_name_from_within_is_seen():
-    text = "from imubayes.inference.run_fit import joint_fit\nfrom imubayes.foundations.units import to_si"
+    text = (
+        "from imubayes.inference.run_fit import joint_fit, redrawn\nfrom imubayes.foundations.units import to_si\n"
+        "from imubayes.model import problem as arrays\nbest = arrays.predict, arrays.placed"
+    )
     found = taken_from_within({"imubayes_archive.unit_fits.new": text})
-    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.joint_fit"}
+    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.redrawn", "imubayes.model.problem.placed"}

@@ -1,12 +1,14 @@
-"""Pages of the reference, made from what they describe: public names, commands, schemas, tables of symbols, documents.
+"""Pages of the reference, made from what they describe: public names and modules, commands, schemas, tables of symbols.
 
 Every function returns pages, file below the sources → text in MyST Markdown.
 """
 
+import ast
 import inspect
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,8 @@ Pages = dict[str, str]
 def reference_pages() -> Pages:
     """Return all of them."""
     return {
-        **api_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **procedure_pages(), **adopted_pages()
+        **api_pages(), **module_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **procedure_pages(),
+        **adopted_pages(),
     }  # fmt: skip
 
 
@@ -74,6 +77,64 @@ def _documented(name: str) -> str:
     else:
         kind, options = "autodata", "   :no-value:\n"
     return f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: imubayes.{name}\n{options}```\n\n"
+
+
+def module_pages() -> Pages:
+    """Return the page of the modules that a tool of one's own may import: their names, each with its first sentence."""
+    listed = tomllib.loads((ROOT / "src" / "docs" / "public_modules.toml").read_text(encoding="utf-8"))
+    intro = (
+        "# Modules for tools\n\nA tool beside the package may import these names, as packages beside the kernel do. "
+        "A change of one of them is stated in the changelog. All other names are private and may change.\n"
+    )
+    return {"reference/modules.md": "\n".join([intro, *map(_subject, listed["subject"])])}
+
+
+def _subject(subject: dict[str, Any]) -> str:
+    """Return the section of a subject: its modules with all names, then those of which some are public."""
+    whole = {file: names_in(file) for file in _files_of(subject["modules"])}
+    some = {
+        file: {name: known.get(name, "") for name in names}
+        for module, names in subject.get("names", {}).items()
+        for file in _files_of([module])
+        for known in (names_in(file, constants=True),)
+    }
+    return f"## {subject['title']}\n\n{''.join(_module_section(*each) for each in (whole | some).items())}"
+
+
+def _files_of(modules: list[str]) -> list[Path]:
+    """Return the files of modules, and of packages with all their modules; without those that have no name."""
+    files = []
+    for module in modules:
+        place = ROOT.joinpath("src", *module.split("."))
+        files += sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+    return [file for file in files if names_in(file)]
+
+
+def names_in(file: Path, *, constants: bool = False) -> dict[str, str]:
+    """Return the public classes and functions that a module defines, each with the first paragraph of its docstring.
+
+    With constants, each with the docstring after it or the comment beside it.
+    """
+    text, found = file.read_text(encoding="utf-8"), dict[str, str]()
+    body, lines = ast.parse(text).body, text.splitlines()
+    for node, after in zip_longest(body, body[1:]):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found[node.name] = (ast.get_docstring(node) or "").partition("\n\n")[0]
+        elif constants and isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)]
+            docstring = (
+                after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+            )
+            found |= dict.fromkeys(names, str(docstring or lines[node.lineno - 1].partition("  # ")[2]))
+    return {name: text for name, text in found.items() if not name.startswith("_")}
+
+
+def _module_section(file: Path, names: Mapping[str, str]) -> str:
+    module = ".".join(file.relative_to(ROOT / "src").with_suffix("").parts)
+    said = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    rows = [(f"`{name}`", text) for name, text in names.items()]
+    return f"### `{module}`\n\n{said.partition('\n\n')[0]}\n\n{table(('name', 'contents'), rows)}\n"
 
 
 def command_pages() -> Pages:

@@ -11,7 +11,8 @@ Public names, in four groups; everything else is private.
 
 - Data: `new`, `NewCampaign`, `capture`, `Captured`, `load_campaign`, `build_campaign`, `check_campaign`, `Finding`,
   `Campaign` with its `Site`, `Channel`, `Table`, `Mounting` and `Run`, `to_si`, `dimension`, `InputError`, `NotKept`.
-- Fit: `fit`, `load_model`, `build_model`, `ModelSpec`, `EffectSpec`, `bind`, `Model`, `Settings`, `sample`, `Samples`;
+- Fit: `fit`, `Fit`, `load_model`, `build_model`, `ModelSpec`, `EffectSpec`, `bind`, `Model`, `Registry`, `Settings`,
+  `sample`, `Samples`; `observability`, `Observability` for the effects that a campaign can show;
   an effect of one's own is a class on `Effect`, `SignalEffect`, `RecordEffect`, `PlaceEffect` or `MotionEffect`, noise
   one on `Noise`, `EntryNoise`, `SharedNoise`, `SeriesNoise` or `TailNoise`, written with `parameter`, `option`,
   `time_constant`, `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`,

@@ -37,8 +37,11 @@ from .foundations.errors import InputError, NotKept
 from .foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from .foundations.units import dimension, to_si
 from .inference.ensemble_sampling import Settings
+from .inference.fitted_model import Fit
 from .inference.user_density import Samples, sample
 from .model.bind import Model, bind
+from .model.bound_effects import Observability, observability
+from .model.effect_registry import Registry
 from .model.model_file import EffectSpec, ModelSpec, build_model, load_model
 from .noise.components import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
 from .parameters.declarations import option, parameter, reference_temperature, time_constant
@@ -58,6 +61,7 @@ __all__ = [
     "EntryNoise",
     "Experience",
     "Finding",
+    "Fit",
     "InputError",
     "Model",
     "ModelChange",
@@ -67,10 +71,12 @@ __all__ = [
     "Mounting",
     "Noise",
     "NotKept",
+    "Observability",
     "Order",
     "PlaceEffect",
     "Play",
     "RecordEffect",
+    "Registry",
     "Repeatability",
     "Result",
     "Run",
@@ -103,6 +109,7 @@ __all__ = [
     "load",
     "load_campaign",
     "load_model",
+    "observability",
     "option",
     "parameter",
     "plant",

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.formula_search import ResidualFormula, Term, TermsBeside
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import Term, TermsBeside
 from imubayes.foundations.covariates import Covariate, regressors
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.records import Record
@@ -84,6 +85,7 @@ def _as_term(entry: Covariate, values: np.ndarray, x: np.ndarray, y: np.ndarray,
         text=f"the drawn shape over {entry.symbol}, {len(x)} points",
         divisor="",
         expression=f"jnp.interp({entry.python}, jnp.array([{places}]), jnp.array([{heights}]))",
+        covariates=(entry.column,),
         needs=entry.needed,
         values=np.where(np.isfinite(values), np.interp(values, x, np.round(y, 3)), 0.0),
         sort="drawing",

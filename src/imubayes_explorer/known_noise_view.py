@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imubayes import Fit
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.foundations.errors import InputError, input_error
-from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.responses.candidate_effects import responses_of_model
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates

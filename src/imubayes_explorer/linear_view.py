@@ -1,9 +1,7 @@
 """Questions to a diagnosed fit that linear algebra answers: what explains some rows, and what causes would do.
 
-Both rest on what the diagnosis has made already.  A cause of some rows is judged by how well it predicts them from all
-others, against that nothing is missing: p(some | others, cause) / p(some | others), the factor by which these rows
-change its odds in the one evidence, times its prior odds.  With all rows chosen this is the log odds of the ranking.
-The noise is held.  Where the model correlates rows in time, a row counts by what it adds to those before it.
+Both rest on what the diagnosis has made already.  How probable causes of some rows are is answered by the evidence of
+the diagnosis (`ExplainedFit.rows`).
 
 A preview is the least squares at the noise known beforehand that predicts Δχ² in the diagnosis; it moves estimates.
 """
@@ -11,7 +9,6 @@ A preview is the least squares at the noise known beforehand that predicts Δχ�
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -21,16 +18,12 @@ from imubayes import Diagnosis
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.diagnosis_record import ScreenedEffect
-from imubayes.criticism.evidence.free_forms import AMPLITUDES
-from imubayes.criticism.evidence.hypothesis_evidence import Solved
-from imubayes.criticism.evidence.linear_problem import UNEXPECTED
-from imubayes.criticism.evidence.model_search import FormScan, states_noise
-from imubayes.criticism.evidence.proposals import Screen, conditional
-from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import find_formula, terms_beside, terms_of
 from imubayes.display.numbers_and_labels import pretty, rounded
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes
@@ -76,52 +69,11 @@ class LinearView(KnownNoiseView):
 
     # ---- what explains selected rows ----
 
-    @cached_property
-    def _nothing(self) -> Solved:
-        of = self.explained.of
-        return of.solved(self.explained.posterior.search.best(states_noise))
-
-    @cached_property
-    def _screen(self) -> Screen:
-        return Screen(self.explained.of)
-
-    @cached_property
-    def _of_all(self) -> dict[int, float]:
-        """The log odds of each variant alone by all rows."""
-        return {n: gain for gain, n in self._screen.singles(conditional(self.explained.of, self._nothing))}
-
-    def _others(self, chosen: np.ndarray) -> Solved:
-        """Return that nothing is missing by the rows that are not chosen: chosen ones have no weight.
-
-        Channels without chosen rows stay as they are, with the Gram matrices that are there.
-        """
-        of, at = self.explained.of, self._nothing.at
-        weight = {
-            k: at.weight.get(k, np.ones(len(of.problem.rows[k].entry))) * ~chosen[of.problem.rows[k].entry]
-            for k in of.unit_of
-            if chosen[of.problem.rows[k].entry].any()
-        }
-        return of.solved(replace(at, weight={**at.weight, **weight}), self._nothing.scale)
-
     def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> RowsRanking:
         """Return how probable single causes of chosen entries, (E,) bool, are; some effects left out."""
         with self._evidence:
-            return self._ranked(chosen, without)
-
-    def _ranked(self, chosen: np.ndarray, without: Sequence[str]) -> RowsRanking:
-        of, others = self.explained.of, self._others(chosen)
-        by_rest = {n: gain for gain, n in self._screen.singles(conditional(of, others))}
-        terms: dict[str, list[tuple[float, float, float]]] = {}
-        for n, gain in self._of_all.items():
-            variant = of.variants[n]
-            if variant.effect not in without:
-                terms.setdefault(variant.effect, []).append((variant.log_odds, gain, by_rest[n]))
-        odds: dict[str, float] = {}
-        for effect, each in terms.items():
-            prior, by_all, by_others = np.logaddexp.reduce(np.array(each), axis=0).tolist()
-            odds[effect] = prior + by_all - by_others
-        form = self._form_odds(others)
-        offset = None if chosen[self.entries].all() else self._offset_odds(chosen)
+            found = self.explained.rows.odds(chosen, without, offset=not chosen[self.entries].all())
+        odds, form, offset = found.effects, found.form, found.offset
         whole = float(
             np.logaddexp.reduce([0.0, *odds.values(), *(each for each in (form, offset) if each is not None)])
         )
@@ -129,32 +81,6 @@ class LinearView(KnownNoiseView):
         causes = tuple(RankedCause(effect=e, probability=math.exp(o - whole), log_odds=o) for e, o in ranked)
         of_form, of_offset = (None if each is None else math.exp(each - whole) for each in (form, offset))
         return RowsRanking(causes=causes, nothing=math.exp(-whole), form=of_form, offset=of_offset)
-
-    @cached_property
-    def _scan(self) -> FormScan:
-        """What forms gain beside that nothing is missing, by all rows."""
-        return FormScan(self.explained.of, self._nothing)
-
-    def _offset_odds(self, chosen: np.ndarray) -> float:
-        """Return the log odds that the chosen rows of each channel are off by something of their own.
-
-        With the prior probability and the amplitudes of the free forms of the evidence.
-        """
-        of, found = self.explained.of, math.log(UNEXPECTED / 2)
-        for k in of.unit_of:
-            rows = of.problem.rows[k]
-            mask = chosen[rows.entry]
-            if mask.any():
-                gains = self._scan.grams([(rows.root * mask)[:, None]], k).gains(AMPLITUDES)
-                found += float(np.logaddexp.reduce(gains[0])) - math.log(len(AMPLITUDES))
-        return found
-
-    def _form_odds(self, others: Solved) -> float | None:
-        """Return the log odds of the form, or wrong record, of the leading explanation; None without one."""
-        form = self.explained.posterior.top.hypothesis.form
-        if form is None:
-            return None
-        return form.log_prior + self._scan.exact(form) - FormScan(self.explained.of, others).exact(form)
 
     def formula(self, channel: str, drawing: DrawnCurve | None = None) -> ResidualFormula | None:
         """Return the simplest formula for what the model leaves of a channel, or the one that is like a drawing.
@@ -168,7 +94,7 @@ class LinearView(KnownNoiseView):
             )
         fitted, known, place = self.explained.posterior.fitted, self.known, names.index(channel)
         with self._evidence:
-            of, at = self.explained.of, self._nothing.at
+            of, at = self.explained.of, self.explained.rows.nothing.at
             if drawing is None:
                 return find_formula(of, at, at.scale, fitted, known, place)
             drawn = drawn_shape(drawing, known, fitted.model.campaign.site.gravity)
@@ -193,7 +119,7 @@ class LinearView(KnownNoiseView):
         for slot in self.explained.posterior.slots:
             for member in slot.members:
                 found.setdefault(member.effect, member.variant)
-        for n in self._of_all:
+        for n in self.explained.rows.alone:
             found.setdefault(of.variants[n].effect, n)
         return found
 

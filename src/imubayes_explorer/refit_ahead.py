@@ -16,13 +16,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes import Fit
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.effects.base import Effect
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_about, whitened_columns
-from imubayes.inference.parameter_fit import Linearised
+from imubayes.inference.parameter_fit import Linearised, whitened_about, whitened_columns
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem, masked
 from imubayes.parameters.declarations import Parameter, prior_slopes, prior_values

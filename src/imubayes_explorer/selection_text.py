@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism.formula_search import ResidualFormula
+from imubayes.criticism.explanation_records import ResidualFormula
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import listed, percent, relation, significant
 from imubayes.foundations.wording import counted

@@ -3,6 +3,7 @@
 Residuals are drawn from the linear model of `test_evidence`: no fit.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +16,8 @@ from test_one_number import made
 from imubayes.criticism.diagnosis_record import ranking
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
-from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit, find_formula
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import coefficient_unit, find_formula
 from imubayes.criticism.residual_evidence import outliers
 from imubayes.foundations.campaign_data import Channel
 from imubayes.inference.fitted_model import Fit
@@ -99,15 +101,25 @@ def test_scatter_alone_makes_no_second_hypothesis() -> None:
     assert len(set(keys)) == len(keys) <= len(posterior.search.known)
 
 
-def formula_of(shape: np.ndarray, deg_h: float, seed: int = 11) -> ResidualFormula | None:
-    """Return the formula found where gx has so much of a shape in its residual, in deg/h at the input."""
+def formula_of(
+    shape: np.ndarray, deg_h: float, seed: int = 11, *, noise: float = 0.0, largest_rate: float = 1.0
+) -> ResidualFormula | None:
+    """Return the formula found where gx has so much of a shape in its residual, in deg/h at the input.
+
+    Parameters
+    ----------
+    noise : of a row at the input, rad/s; 0 if it is not known.
+    largest_rate : deg/s.
+    """
     residual = drawn(seed)
     factor, unit = coefficient_unit("gyro", 1.0, 9.8)
     assert unit == "deg/h"
     residual[0] += deg_h * factor * shape
-    of = EvidenceOf(problem(residual))
+    made_of = problem(residual)
+    of = EvidenceOf(replace(made_of, rows=tuple(replace(rows, noise=noise) for rows in made_of.rows)))
     at = of.evaluate(Hypothesis((), of.stated))
-    known = [covariates()[0], ResidualCovariate("temperature_degC", "degC", np.tile(WARMTH + 25, 2), "temperature")]
+    rate = replace(covariates()[0], values=largest_rate * covariates()[0].values)
+    known = [rate, ResidualCovariate("temperature_degC", "degC", np.tile(WARMTH + 25, 2), "temperature")]
     return find_formula(of, at, np.ones(2), the_fit(), known, 0)
 
 
@@ -137,6 +149,14 @@ def test_a_planted_term_is_found_with_its_coefficient(shape: np.ndarray, needs: 
     size = IN_NOISE * float(shape @ whole / (whole @ whole))
     assert abs(term.value - size) < 4 * term.sd < 0.5 * size
     assert found.inclusion > 0.6
+
+
+@pytest.mark.parametrize(("largest_rate", "possible"), [(1.0, False), (1e5, True)])
+def test_a_formula_is_one_that_a_sensor_can_have(largest_rate: float, possible: bool) -> None:
+    """A gyro that errs by 15 rad/s at 1 deg/s is none, however well its readings follow the rate."""
+    found = formula_of(15 * RATE**3, IN_NOISE, noise=1.0, largest_rate=largest_rate)
+    rates = [] if found is None else [term for term in found.terms if "rate" in term.expression]
+    assert bool(rates) == possible
 
 
 def test_noise_has_no_formula() -> None:

@@ -1,6 +1,5 @@
 """Diagnoses made up for tests: of a scale factor asymmetry, and of each other kind of explanation."""
 
-from imubayes.criticism.detectability import Absorber
 from imubayes.criticism.diagnosis_record import (
     CovariateLabel,
     Diagnosis,
@@ -10,6 +9,7 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
 )
 from imubayes.criticism.explanation_records import (
+    Absorber,
     CoefficientEstimate,
     EffectSlot,
     Evidence,

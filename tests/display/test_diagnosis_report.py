@@ -14,15 +14,22 @@ from rich.console import Console
 from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
 from imubayes.adequacy.adequacy_record import ChannelRms, Disagreement, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
-from imubayes.criticism.detectability import NeglectedUncertainty, ParameterBias
 from imubayes.criticism.diagnosis_record import (
     AskedEffect,
     ResidualFormula,
     UndetectableEffect,
     UntypicalSize,
 )
-from imubayes.criticism.explanation_records import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
-from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.explanation_records import (
+    EffectChoice,
+    FormulaTerm,
+    FoundForm,
+    FoundNoise,
+    NeglectedUncertainty,
+    ParameterBias,
+    Suggestion,
+    Verdict,
+)
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.figures.residual_evidence import (

@@ -6,8 +6,8 @@ import pytest
 
 from imubayes.display.loop.history import elpd_text
 from imubayes.display.numbers_and_labels import concise, percent, ratio_text, significant, value_and_sd, with_minus
-from imubayes.inference.marginal import numerical_tolerance
 from imubayes.loop.model_history import CrossValidation
+from imubayes.results.marginal import numerical_tolerance
 from imubayes_qualification.display.report.words import risk_text
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Sheet
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.budgets.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes_qualification.certificate.report_estimates import monte_carlo_error
 from imubayes_qualification.certificate.report_record import (

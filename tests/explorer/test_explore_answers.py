@@ -23,7 +23,7 @@ from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals
@@ -141,13 +141,13 @@ def test_an_offset_of_some_readings_alone_is_told_as_such(model):
         column += 6 * rows.root * chosen[rows.entry]
         model.view.explained.of.rows[k]._gram.clear()
         model.view.explained.of.rows[k]._kept.clear()
-        vars(model.view).pop("_scan", None)
+        vars(model.view.explained.rows).pop("_scan", None)
         assert model.view.rank(chosen).offset > 0.9
     finally:
         column[:] = kept
         model.view.explained.of.rows[k]._gram.clear()
         model.view.explained.of.rows[k]._kept.clear()
-        vars(model.view).pop("_scan", None)
+        vars(model.view.explained.rows).pop("_scan", None)
 
 
 def log_normal(residual: np.ndarray, covariance: np.ndarray) -> float:
@@ -212,7 +212,7 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch
         with monkeypatch.context() as patched:
             leading = SimpleNamespace(hypothesis=SimpleNamespace(form=told))
             patched.setitem(vars(view.explained.posterior), "top", leading)
-            odds = view._form_odds(view._others(chosen))
+            odds = view.explained.rows.form_odds(view.explained.rows.by_others(chosen))
         expected = told.log_prior + gain(base + told.amplitude**2 * response @ response.T) - gain(base)
         assert odds == pytest.approx(expected, abs=0.01 * abs(expected) + 0.01), form.name
     # Readings of one side alone do not tell an asymmetry from other causes; with the others they do.

@@ -5,7 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from imubayes.inference.laplace_marginal import inverse_of_precision, inverse_within
+from imubayes.foundations.numerics import inverse_of_precision
+from imubayes.inference.laplace_marginal import inverse_within
 
 DETERMINED = np.array([1e9, 1.0, 1e8, 3e2, 1e6])
 """Prior over posterior standard deviation: that of a servo table over a day reaches 1e8 and more."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.nested_laplace import bends, curved_directions, posterior_precision
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.model.bind import Model, bind

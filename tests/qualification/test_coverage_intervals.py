@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.evaluation.coverage import (
     KnownUncertainty,
     coverage_factor,

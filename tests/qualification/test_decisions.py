@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.marginal import (
-    FittedMarginal,
-    Marginal,
-    digits_deserved,
-    fitted_to,
-    last_digit,
-    numerical_tolerance,
-)
+from imubayes.results.marginal import Marginal, last_digit, numerical_tolerance
 from imubayes_qualification.evaluation.decision_rules import (
     ACCEPTED,
     DecisionRule,
@@ -27,6 +20,8 @@ from imubayes_qualification.evaluation.decision_rules import (
     global_risks,
     guard_for_risk,
 )
+from imubayes_qualification.evaluation.fitted_marginal import FittedMarginal, fitted_to
+from imubayes_qualification.evaluation.stated_digits import digits_deserved
 
 
 def marginal_of(law, size: int = 20_000) -> Marginal:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.inference.marginal import FittedMarginal, Marginal, _likeliest
+from imubayes.results.marginal import Marginal
+from imubayes_qualification.evaluation.fitted_marginal import FittedMarginal, _likeliest, fitted_to
 
 
 def test_slopes_of_the_log_density_are_its_derivatives():
@@ -22,7 +23,7 @@ def test_slopes_of_the_log_density_are_its_derivatives():
 def test_condensed_draws_have_the_marginal_of_all(name):
     random = np.random.default_rng(3)
     draws = random.standard_t(4, 12_000) if name == "standard_t" else random.gamma(1.2, 1, 12_000)
-    fitted = Marginal(draws, 12_000.0).smooth
+    fitted = fitted_to(np.sort(draws))
     values = np.log(draws) if fitted.sign else draws
     whole, _ = _likeliest(values, np.full(len(values), 1 / len(values)), fitted.sign)
     for end in np.quantile(draws, [0.001, 0.025, 0.5, 0.975, 0.999]):

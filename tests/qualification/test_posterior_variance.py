@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.inference.linear_part import thinned_scales
-from imubayes.inference.posterior_variance import KnownVariance, variance_of
+from imubayes.results.linear_part import thinned_scales
+from imubayes.results.posterior_variance import KnownVariance, variance_of
 
 KNOWN = KnownVariance(4.0, 0.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.inference.marginal import Marginal, numerical_tolerance
+from imubayes.results.marginal import Marginal, numerical_tolerance
 from imubayes_qualification.budgets.budget_parts import degrees_of_freedom, linear_contributions, posterior_covariance
 from imubayes_qualification.evaluation.decision_rules import ToleranceInterval, conformance_probability
 

@@ -8,7 +8,7 @@ truly inside has to be 0.90 ± 0.03, and a guard band of 1.65 u may accept 5 % o
 import numpy as np
 import pytest
 
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.evaluation.decision_rules import (
     DecisionRule,
     MeasuredValue,

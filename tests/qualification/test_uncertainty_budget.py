@@ -11,7 +11,7 @@ from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Instruments, Thermometer
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_jacobian
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import prior_widths
@@ -293,7 +293,7 @@ def test_an_uncertainty_without_sampling_has_no_monte_carlo_error(result):
     place, problem = fit.model.layout.names.index(name), fit.model.problem
     variances = []
     for h in fit.posterior.points[::400, len(fit.z) :]:
-        rows = np.asarray(whitened_jacobian(problem, fit.mode.about, h))
+        rows = whitened_columns(problem, h, fit.mode.about.jacobian)
         variances.append(np.linalg.inv(rows.T @ rows + np.diag(prior_widths(problem, h) ** -2.0))[place, place])
     exact = fit.model.layout.parameters[place].prior_sd * np.sqrt(np.mean(variances))
     assert result[name].sd == pytest.approx(exact, rel=1e-3)

@@ -7,11 +7,12 @@ import pytest
 from scipy import stats
 
 from imubayes.api import fit
-from imubayes.inference.marginal import Marginal, digits_deserved, numerical_tolerance
 from imubayes.inference.run_fit import LAPLACE_DRAWS
+from imubayes.results.marginal import Marginal, numerical_tolerance
 from imubayes.results.posterior_quantities import draws_lacking, posterior_quantities
 from imubayes.results.result import Result
 from imubayes.results.summary import is_constant
+from imubayes_qualification.evaluation.stated_digits import digits_deserved
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"

@@ -14,7 +14,7 @@ import xarray
 from imubayes.api import fit
 from imubayes.inference.convergence import Convergence
 from imubayes.inference.ensemble_sampling import Chains, Settings
-from imubayes.inference.posterior_groups import by_ensemble
+from imubayes.results.posterior_groups import by_ensemble
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.posterior_groups import Group, Groups, Labelled
+from imubayes.results.posterior_groups import Group, Groups, Labelled
 from imubayes.results.result_folder import write_posterior
 
 

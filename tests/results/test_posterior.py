@@ -7,7 +7,7 @@ import pytest
 import xarray
 
 from imubayes.api import Result
-from imubayes.inference.posterior_groups import (
+from imubayes.results.posterior_groups import (
     SAMPLE,
     Group,
     Groups,

@@ -12,10 +12,10 @@ from imubayes.api import Result
 from imubayes.cli.main import run
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.run_fit import joint_fit
 from imubayes.loop import predicted_runs
 from imubayes.loop.predicted_runs import predict_runs, root_mean_square_scales
+from imubayes.results.posterior_groups import in_units
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "data" / "generators"))

@@ -21,10 +21,10 @@ import numpy as np
 from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.marginal import Marginal
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.results.marginal import Marginal
 from imubayes_archive.unit_fits.fit_unit import posteriors
 from imubayes_archive.unit_fits.lanes import LANES, LaneStructure, find_modes
 from imubayes_qualification.evaluation.decision_rules import (

@@ -24,8 +24,7 @@ from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_about, whitened_columns
-from imubayes.inference.parameter_fit import Linearised, fit_at, linearise
+from imubayes.inference.parameter_fit import Linearised, fit_at, linearise, whitened_about, whitened_columns
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import Problem

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.likelihood import pseudo_values
 from imubayes.model.noise_covariance import noise_distribution, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths

@@ -38,6 +38,7 @@ from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes.procedures import PROCEDURES, procedure_named
 
 CAMPAIGN_FILE = "campaign.toml"
+"""The file of a campaign folder that states the measurements."""
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 
 

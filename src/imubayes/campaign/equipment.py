@@ -15,7 +15,7 @@ from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntr
 from imubayes.campaign.reduction import BenchSettings
 from imubayes.campaign.run_tables import known_columns
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.foundations.campaign_data import THERMOMETERS, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.campaign_data import PRESETS, THERMOMETERS, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import closest_first
 from imubayes.foundations.units import to_si
@@ -263,16 +263,6 @@ def _not_a_rotation(matrix: np.ndarray) -> str:
     if worst > ROTATION_TOLERANCE:
         return f"its columns deviate from orthonormality by up to {worst:.2g}"
     return "its determinant is -1 (a mirror image)" if determinant < 0 else ""
-
-
-def _trihedral() -> np.ndarray:
-    azimuth = np.array([0.0, 120.0, 240.0]) * DEGREE
-    across, along = math.sqrt(2 / 3), math.sqrt(1 / 3)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.full(3, along)])
-
-
-PRESETS = {"trihedral": _trihedral(), "aligned": np.eye(3)}
-"""Preset mountings: the trihedral (corner-cube) mounting, and body axes along the table axes."""
 
 
 def _direction(vector: Sequence[float] | None) -> tuple[float, float, float] | None:

@@ -26,6 +26,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from imubayes.foundations.campaign_data import Grade
+from imubayes.foundations.units import ABSURD
 
 # Characters that steer a terminal, or turn the direction of text, instead of being shown.
 _CONTROL = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
@@ -34,10 +35,10 @@ _TEXT = rf"^[^{_CONTROL}]*$"
 # A part of a path that does not lead upwards: no dot first, one alone or before another character, or more than two.
 _STEP = rf"(?:\.?[^/\\.{_CONTROL}][^/\\{_CONTROL}]*|\.|\.\.[^/\\{_CONTROL}]+)"
 _FILE_WITHIN = rf"^{_STEP}(?:/{_STEP})*$"
-Text = Annotated[str, Field(pattern=_TEXT)]
+Text = Annotated[str, Field(pattern=_TEXT)]  # without control characters
 FileWithin = Annotated[str, Field(pattern=_FILE_WITHIN)]
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
-COUNTRY = "^[A-Z]{2}$"
+COUNTRY = "^[A-Z]{2}$"  # pattern of a country code, ISO 3166-1 alpha-2
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
@@ -48,7 +49,6 @@ Millionths = Annotated[float, Field(ge=0, le=1e6)]
 Percent = Annotated[float, Field(ge=0, le=100)]
 Micrometres = Annotated[float, Field(ge=0, le=1e8)]
 _LEAST_LENGTH = 1e-9
-ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 TemperatureUncertainty = Annotated[float, Field(ge=0, le=100)]
 

@@ -22,12 +22,13 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from imubayes.campaign.file_schemas import ABSURD
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
+from imubayes.foundations.units import ABSURD
 from imubayes.procedures import Procedure, Reduction
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
+"""Columns with a fixed meaning that hold text."""
 
 
 @dataclass(frozen=True)

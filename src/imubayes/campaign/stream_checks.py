@@ -10,11 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.units import ABSURD
 from imubayes.foundations.wrong_records import WrongRecord
 
 Severity = Literal["error", "warning"]

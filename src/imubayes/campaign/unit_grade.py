@@ -10,11 +10,11 @@ import numpy as np
 from imubayes.foundations.campaign_data import Campaign, Grade
 from imubayes.foundations.units import to_si
 
-# Least standard deviation of one raw sample, rad/s and m/s², of a consumer and of an industrial unit.
 LEAST_NOISE: dict[str, tuple[float, float]] = {
     "gyro": (to_si("deg/s") * 0.05, to_si("deg/s") * 0.02),
     "accelerometer": (to_si("mg"), 0.5 * to_si("mg")),
 }
+"""Least standard deviation of one raw sample, rad/s and m/s², of a consumer and of an industrial unit."""
 
 
 def grade_of(campaign: Campaign, kind: str) -> Grade:

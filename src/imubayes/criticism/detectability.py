@@ -19,12 +19,11 @@ from imubayes.adequacy.known_noise import known_scales
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
-from imubayes.criticism.explanation_records import NAMED_ODDS
-from imubayes.foundations.records import Record
+from imubayes.criticism.explanation_records import NAMED_ODDS, Absorber, NeglectedUncertainty, ParameterBias
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import candidate_responses
@@ -38,54 +37,6 @@ ABSORBER_SHARE = 0.01
 NEGLECTED_SHIFT = 0.5
 """Posterior standard deviations by which a neglected uncertainty, or an effect that the runs cannot show, shifts a
 parameter, to be told (convention)."""
-
-
-@dataclass(frozen=True)
-class Absorber:
-    """A family of parameters (`effect.parameter`, or `RUN_OFFSETS`) that absorbs an effect, and its share."""
-
-    parameter: str
-    share: float
-
-
-@dataclass(frozen=True)
-class ParameterBias:
-    """The parameter that an effect of the largest typical size biases most while undetected.
-
-    Effects of equipment whose uncertainty the campaign states count with size 0.
-
-    Attributes
-    ----------
-    parameter, unit : name and unit.
-    value, in_sd : the bias, in that unit and in posterior standard deviations.
-    coefficient, size, size_unit : the coefficient of the effect that biases most, with its largest typical size.
-    """
-
-    parameter: str
-    unit: str
-    value: float
-    in_sd: float
-    coefficient: str = ""
-    size: float = 0.0
-    size_unit: str = ""
-
-
-class NeglectedUncertainty(Record):
-    """A standard uncertainty that the campaign states of its equipment and the model takes as exact.
-
-    Attributes
-    ----------
-    effect, parameter : effect that describes it, and its parameter as the model would name it.
-    value, unit : as stated.
-    shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
-    """
-
-    effect: str
-    parameter: str
-    value: float
-    unit: str
-    shifts: str
-    in_sd: float
 
 
 @dataclass(frozen=True)

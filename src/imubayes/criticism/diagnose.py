@@ -25,7 +25,9 @@ from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior
 from imubayes.criticism.evidence.noise_structures import Family, RunNoise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
-from imubayes.criticism.formula_search import ResidualFormula, find_formula
+from imubayes.criticism.evidence.row_evidence import RowEvidence
+from imubayes.criticism.explanation_records import ResidualFormula
+from imubayes.criticism.formula_search import find_formula
 from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
 from imubayes.effects.base import Effect
 from imubayes.foundations.campaign_data import Campaign
@@ -184,6 +186,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 
 
 Heard = Callable[[explanations.WeighedSoFar], None]
+"""Called with what a search at work has weighed so far."""
 _HEARD_EVERY = 0.5
 """Seconds between two reports of a search at work: each sums over all hypotheses."""
 
@@ -266,6 +269,11 @@ class ExplainedFit:
         self.absorbed = AbsorbedResponses(posterior.of, fit)
         about = Linearised(np.asarray(fit.z), responses.misfit, responses.jacobian)
         self.at_known_noise = known_noise_point(fit.model, about, known_scales(fit))
+
+    @cached_property
+    def rows(self) -> RowEvidence:
+        """What explains rows that are chosen."""
+        return RowEvidence(self.posterior)
 
     def diagnosis(self) -> record.Diagnosis:
         """Return what is missing."""

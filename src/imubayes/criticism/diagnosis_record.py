@@ -12,13 +12,22 @@ from pydantic import PrivateAttr
 
 from imubayes.adequacy.adequacy_record import Disagreement, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
-from imubayes.criticism.detectability import NEGLECTED_SHIFT, Absorber, NeglectedUncertainty, ParameterBias
+from imubayes.criticism.detectability import NEGLECTED_SHIFT
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, estimates
 from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
-from imubayes.criticism.explanation_records import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
-from imubayes.criticism.formula_search import ResidualFormula
+from imubayes.criticism.explanation_records import (
+    Absorber,
+    CoefficientEstimate,
+    Evidence,
+    NeglectedUncertainty,
+    ParameterBias,
+    ResidualFormula,
+    RmsChange,
+    Suggestion,
+    Verdict,
+)
 from imubayes.criticism.residual_evidence import Outlier, ResidualEvidence
 from imubayes.foundations.records import Presented, Record
 from imubayes.inference.candidate_runs import RunDesign

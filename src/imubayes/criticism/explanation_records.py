@@ -1,10 +1,12 @@
 """Records of a verdict: probabilities of the explanations, effects with channels, suggestions, residual rms.
 
 They state what a diagnosis decides and what an addition changes, and what a search found: how probable each explanation
-is, and what stands in the place of each effect.
+is, and what stands in the place of each effect; formulas of what no effect explains; and what hides an effect, with the
+bias that it causes meanwhile.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 from imubayes.foundations.records import Record
@@ -19,6 +21,7 @@ Verdict = Literal[
     "undetectable",
     "not_converged",
 ]
+"""The verdict of a diagnosis: that of its most probable explanation, or why there is none."""
 
 
 class CoefficientEstimate(Record):
@@ -193,3 +196,95 @@ class Evidence(Record):
     def of(self, kind: Explanation) -> ProbableExplanation:
         """Return one kind of explanation."""
         return next(each for each in self.explanations if each.kind == kind)
+
+
+class FormulaTerm(Record):
+    """One term of a formula, with its coefficient at the input.
+
+    Attributes
+    ----------
+    shape : the term in symbols.
+    expression : the term in Python, in SI, for an effect's `sample`.
+    needs : covariates that a run has to supply.
+    value, sd, unit : coefficient.
+    delta_chi2 : drop of χ² when the term was selected.
+    log_odds : natural logarithm of the odds for it, all terms of the library counted.
+    """
+
+    shape: str
+    expression: str
+    needs: tuple[str, ...]
+    value: float
+    sd: float | None
+    unit: str
+    delta_chi2: float
+    log_odds: float
+
+
+class ResidualFormula(Record):
+    """The simplest formula for what no effect of the catalogue explains on a channel.
+
+    Attributes
+    ----------
+    kind : kind of the channel.
+    shape : the formula in symbols: the sum of the terms.
+    terms : with their coefficients at the input, in the order of selection.
+    inclusion : how often the first term comes first when runs are resampled.
+    near : terms that fit almost as well as the first, in symbols.
+    """
+
+    channel: str
+    kind: str
+    shape: str
+    terms: tuple[FormulaTerm, ...]
+    inclusion: float
+    near: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Absorber:
+    """What hides an effect: parameter family (`effect.parameter`, or `RUN_OFFSETS`) and its share of the response."""
+
+    parameter: str
+    share: float
+
+
+@dataclass(frozen=True)
+class ParameterBias:
+    """The parameter that an effect of the largest typical size biases most while undetected.
+
+    None of that size is assumed where the campaign states the uncertainty of the equipment.
+
+    Attributes
+    ----------
+    parameter, unit : name and unit.
+    value, in_sd : the bias, in that unit and in posterior standard deviations.
+    coefficient, size, size_unit : of the coefficients of the effect the one that biases most, with its largest typical
+        size.
+    """
+
+    parameter: str
+    unit: str
+    value: float
+    in_sd: float
+    coefficient: str = ""
+    size: float = 0.0
+    size_unit: str = ""
+
+
+class NeglectedUncertainty(Record):
+    """A standard uncertainty that the campaign states of its equipment and the model takes as exact.
+
+    Attributes
+    ----------
+    effect, parameter : what describes it, and its parameter as it would be named in the model.
+    value, unit : as stated.
+    shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    unit: str
+    shifts: str
+    in_sd: float

@@ -19,12 +19,13 @@ import numpy as np
 
 from imubayes.criticism.evidence.free_forms import HARMONICS, HIGHEST_POWER, PLACES
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf
-from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL, LinearProblem
+from imubayes.criticism.evidence.possible_forms import largest_amplitude
 from imubayes.criticism.evidence.proposals import base_columns
-from imubayes.criticism.explanation_records import NAMED_ODDS, NEAR
+from imubayes.criticism.explanation_records import NAMED_ODDS, NEAR, FormulaTerm, ResidualFormula
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import Covariate, regressors
-from imubayes.foundations.records import Record, finite
+from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.residual_covariates import ResidualCovariate
 
@@ -40,6 +41,7 @@ class Term:
     text : formula in symbols of the covariates.
     divisor : unit by which that of its coefficient is divided; empty if it is not.
     expression : the same in Python, for `sample`, in SI.
+    covariates : columns that the term is formed of.
     needs : covariates that a run has to supply.
     values : shape (E,), in datasheet units, 0 if not known.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
@@ -48,6 +50,7 @@ class Term:
     text: str
     divisor: str
     expression: str
+    covariates: tuple[str, ...]
     needs: tuple[str, ...]
     values: np.ndarray = field(repr=False)
     sort: str
@@ -61,7 +64,7 @@ class _Base:
     values: np.ndarray
 
     def term(self, text: str, divisor: str, expression: str, values: np.ndarray, sort: str) -> Term:
-        return Term(text, divisor, expression, self.entry.needed, _filled(values), sort)
+        return Term(text, divisor, expression, (self.entry.column,), self.entry.needed, _filled(values), sort)
 
 
 def library(covariates: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
@@ -189,7 +192,7 @@ def _of_two(one: _Base, other: _Base) -> list[Term]:
             code = f"{x.python} ** {a} * {y.python} ** {b}"
             needs = tuple(dict.fromkeys((*x.needed, *y.needed)))
             values = _filled(one.values**a * other.values**b)
-            found.append(Term(text, below, code, needs, values, "product"))
+            found.append(Term(text, below, code, (x.column, y.column), needs, values, "product"))
     return found
 
 
@@ -207,49 +210,6 @@ _MOST_TERMS, _RESAMPLES = 3, 200
 """Terms of a formula at most; times that runs are resampled."""
 
 
-class FormulaTerm(Record):
-    """One term of a formula, with its coefficient at the input.
-
-    Attributes
-    ----------
-    shape : the term in symbols.
-    expression : the term in Python, in SI, for an effect's `sample`.
-    needs : covariates that a run has to supply.
-    value, sd, unit : coefficient.
-    delta_chi2 : drop of χ² when the term was selected.
-    log_odds : natural logarithm of the odds for it, all terms of the library counted.
-    """
-
-    shape: str
-    expression: str
-    needs: tuple[str, ...]
-    value: float
-    sd: float | None
-    unit: str
-    delta_chi2: float
-    log_odds: float
-
-
-class ResidualFormula(Record):
-    """The simplest formula for the residual of a channel that no effect of the catalogue explains.
-
-    Attributes
-    ----------
-    kind : kind of the channel.
-    shape : the formula in symbols: the sum of the terms.
-    terms : with their coefficients at the input, in the order of selection.
-    inclusion : how often the first term comes first when runs are resampled.
-    near : terms that fit almost as well as the first, in symbols.
-    """
-
-    channel: str
-    kind: str
-    shape: str
-    terms: tuple[FormulaTerm, ...]
-    inclusion: float
-    near: tuple[str, ...]
-
-
 @dataclass(frozen=True)
 class Pursuit:
     """Terms beside an explanation: V (T, T) and u (T,) past what it fits, in units of the noise."""
@@ -257,11 +217,15 @@ class Pursuit:
     own: np.ndarray
     right: np.ndarray
 
+    def coefficients(self, whole: np.ndarray) -> np.ndarray:
+        """Return the coefficient of each term alone, (T,), of squared length `whole` at first; 0 if none is left."""
+        left = np.diag(self.own)
+        shown = left > NEGLIGIBLE * whole
+        return np.where(shown, self.right / np.where(shown, left, 1.0), 0.0)
+
     def drops(self, whole: np.ndarray) -> np.ndarray:
         """Return the drop of χ² by each term, of squared length `whole` at first, (T,)."""
-        left = np.diag(self.own)
-        told = left > NEGLIGIBLE * whole
-        return np.where(told, self.right**2 / np.where(told, left, 1.0), 0.0)
+        return self.right * self.coefficients(whole)
 
     def without(self, place: int) -> "Pursuit":
         """Return the same with a term projected out."""
@@ -365,8 +329,23 @@ def find_formula(
     if not terms:
         return None
     beside = terms_beside(of, at, scale, fitted, terms, channel)
-    selected = _pursue(beside.first, terms, beside.whole, len(beside.residual))
+    selected = _pursue(beside, _largest_coefficients(of.problem, terms, covariates, channel) * beside.channel.scale_si)
     return beside.formula(selected) if selected else None
+
+
+def _largest_coefficients(
+    problem: LinearProblem, terms: Sequence[Term], covariates: Sequence[ResidualCovariate], channel: int
+) -> np.ndarray:
+    """Return the largest response that the channel of a sensor can have to each term, SI at the input, (T,).
+
+    It is that to the covariates of the term, as of a form: a cosine of the Earth rate of 6 mg is none of a sensor.
+    """
+    noise = problem.rows[channel].noise
+    bounds = {
+        names: largest_amplitude(problem, channel, [each for each in covariates if each.name in names])
+        for names in {term.covariates for term in terms}
+    }
+    return np.array([bounds[term.covariates] * noise if noise else np.inf for term in terms])
 
 
 def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, str]:
@@ -374,15 +353,22 @@ def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, st
     return (scale * np.pi / 180 / 3600, "deg/h") if kind == "gyro" else (scale * 1e-6 * gravity, "ug")
 
 
-def _pursue(at: Pursuit, terms: Sequence[Term], whole: np.ndarray, rows: int) -> list[tuple[int, float, float]]:
-    """Return the places of the terms selected, with the drop of χ² and log odds of each (Schwarz's criterion)."""
+def _pursue(beside: TermsBeside, largest: np.ndarray) -> list[tuple[int, float, float]]:
+    """Return the places of the terms selected, with the drop of χ² and log odds of each (Schwarz's criterion).
+
+    Parameters
+    ----------
+    largest : shape (T,), coefficient of each term of largest value 1 that a sensor can have, output units.
+    """
     # Sorts are equally likely, and so are the terms of each: what is chosen from many pays for it.
+    terms, at = beside.terms, beside.first
     members = Counter(term.sort for term in terms)
     cost = np.log([len(members) * members[term.sort] for term in terms])
     selected: list[tuple[int, float, float]] = []
     while len(selected) < _MOST_TERMS:
-        drops = at.drops(whole)
-        odds = 0.5 * drops - 0.5 * math.log(rows) - cost
+        drops = at.drops(beside.whole)
+        odds = 0.5 * drops - 0.5 * math.log(len(beside.residual)) - cost
+        odds = np.where(np.abs(at.coefficients(beside.whole)) <= largest, odds, -np.inf)
         best = int(np.argmax(odds))
         if odds[best] < NAMED_ODDS:
             break

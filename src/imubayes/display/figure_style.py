@@ -32,7 +32,9 @@ from imubayes.display.residual_columns import temperature_levels
 from imubayes.foundations.files import replacing
 
 HUES = ("#0072b2", "#d55e00", "#56b4e9", "#7a3b00", "#8c8c8c", "#332288")
+"""Hues of runs, in order: told apart by readers with colour-blindness."""
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
+"""Markers of the runs of one hue, in order."""
 _STYLES = 2 * len(HUES)
 """Filled and open markers of each hue."""
 
@@ -137,11 +139,17 @@ def _level_order(level: str) -> tuple[bool, float, str]:
 
 
 INK, QUIET, FAINT, RED = "#222222", "#666666", "#dddddd", "#b91c1c"
+"""Colours of text and lines, of what is secondary, of grids, and of what is wrong."""
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+"""Colours of quantities: the palette of Okabe and Ito."""
 BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
+"""Colours of a coverage interval, and of a wider one."""
 MOST_PANELS = 6
+"""Panels of a picture at most."""
 TEXT, SMALL, _TITLE = 9.0, 8.0, 13.0
+"""Sizes of text, pt."""
 STYLE = mpl.rc_params_from_file(str(files("imubayes.display") / "imubayes.mplstyle"), use_default_template=False)
+"""The settings of Matplotlib under which all pictures are drawn."""
 _EDGE = 0.3
 
 

@@ -36,6 +36,7 @@ NOISE_WORDS = {
     "heavy_tails": "the noise has heavy tails or outliers",
     "quantisation": "the output is quantised too coarsely for its noise",
 }
+"""Kind of a violation of the noise model → what it is, in words."""
 _MOST_NAMED = 3
 # Ratio of uncertainties from which on what is taken as exact is told.
 _MATTERS = 1.1

@@ -23,9 +23,12 @@ import numpy as np
 from imubayes.foundations.earth import normal_gravity, table_to_local, towards
 from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, name_of
 from imubayes.foundations.records import Record
+from imubayes.foundations.units import to_si
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation"]
+"""Grade of a unit, which chooses the default priors."""
 GRADES: tuple[Grade, ...] = get_args(Grade)
+"""All grades, the coarsest first."""
 
 
 def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grade: Grade) -> str:
@@ -47,6 +50,8 @@ def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grad
 
 
 Kind = Literal["gyro", "accelerometer", "angle"]
+KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
+"""Kinds of inertial sensors, sorted: JAX walks through a dictionary in this order."""
 INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
 """Unit in which inputs and residuals at the input are stated, by kind of channel."""
 
@@ -215,6 +220,16 @@ class Mounting:
     name: str
     body_to_table: np.ndarray
     uncertainty: float | None = None
+
+
+def _trihedral() -> np.ndarray:
+    azimuth = np.array([0.0, 120.0, 240.0]) * to_si("deg")
+    across, along = math.sqrt(2 / 3), math.sqrt(1 / 3)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.full(3, along)])
+
+
+PRESETS = {"trihedral": _trihedral(), "aligned": np.eye(3)}
+"""Preset mountings: the trihedral (corner-cube) mounting, and body axes along the table axes."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Numerical helpers that need NumPy alone: means of groups, cross products, quadrature, rounding.
+"""Numerical helpers that need NumPy alone: means of groups, cross products, quadrature, rounding, inverses.
 
 What is computed with in compiled functions stands in `imubayes.foundations.arrays`, tail probabilities in
 `imubayes.foundations.tail_probabilities`.
@@ -52,3 +52,20 @@ def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     Exact for polynomials of degree 2 count − 1.
     """
     return np.polynomial.legendre.leggauss(count)
+
+
+def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite matrix, (P, P).
+
+    Some parameters of a servo table are determined to 1e-8 of their prior, and the eigenvalues of their precision
+    differ by more than the rounding of the largest.  Cholesky's factor does not depend on the scale of the parameters,
+    and weak directions are those of the largest variance, which rounding does not touch.
+    """
+    scale = np.sqrt(np.diag(precision))
+    correlated = precision / np.outer(scale, scale)
+    try:
+        lower = np.linalg.cholesky(correlated)
+    except np.linalg.LinAlgError:
+        lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
+    half = np.linalg.solve(lower, np.diag(1 / scale))
+    return half.T @ half

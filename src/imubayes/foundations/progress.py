@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 Tell = Callable[[str], None]
+"""Called with a short text as a computation goes on."""
 
 _SOONEST = 3.0
 """Seconds before the time left is estimated: the first steps compile."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 LEAST_P = 1e-300
+"""Floor of probabilities."""
 _LEAST_TAIL = 1e-280
 _TINY = 1e-290  # stands for 0 in the recurrence of the continued fraction
 _MOST_TERMS = 100_000

@@ -19,7 +19,10 @@ BIAS_CONVENTION = (
     "A bias is referred to the input: output = nominal scale · (1 + scale factor error) · (input + bias + …) + offset. "
     "The b of an export is referred to the output: b = (1 + scale factor error) · bias, subtracted first."
 )
-DAYS_PER_YEAR = 365.25
+ABSURD = 1e30
+"""No instrument reads as much in any unit, and squares of more than 1e154 overflow."""
+DAYS_PER_YEAR = 365.25  # of the Julian year
+# A number with its unit after it, as options state them: `20 degC`.
 NUMBER_AND_UNIT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where the site is unknown
 

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.candidate_runs import CandidateRun, NextRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
-from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of
+from imubayes.inference.laplace_marginal import precision_of
 from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.vector_length import Components, components_near_zero, expected_length_deviation
 from imubayes.model.bind import Model, bind

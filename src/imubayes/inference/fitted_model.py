@@ -50,6 +50,13 @@ class Fit:
     posterior : draws; None where the fit did not converge, or was read from a result folder.
     seconds : time spent, by step.
     sampled : whether the sampling, where there was any, converged.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> fit = imubayes.load("results/accel-channel").fit
+    >>> fit.converged, len(fit.z) == len(fit.model.layout)
+    (True, True)
     """
 
     model: Model

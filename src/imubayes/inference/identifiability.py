@@ -37,8 +37,8 @@ class Contribution(Record):
     by: tuple[ProcedureShare, ...]
 
 
-# A direction is reported where the data contributed less than this share of the knowledge.
 WEAK_SHARE = 0.5
+"""A direction is reported where the data contributed less than this share of the knowledge."""
 # Members of a combination below this share of its largest are left out of its name.
 _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
 # A pair of derived quantities is a confusion where its worst combination is this unresolved, or where the two move

@@ -21,10 +21,11 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.scale_statistics import ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
-from imubayes.model.noise_covariance import group_sum, whiten, whitener
+from imubayes.model.noise_covariance import group_sum, whitener
 from imubayes.model.problem import Problem, masked, prior_widths
 
 
@@ -69,26 +70,6 @@ def precision_of(
     return knowledge(some, on_host(about), np.asarray(h)).precision
 
 
-def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> np.ndarray:
-    """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
-    return whitened_columns(problem, h, about.jacobian)
-
-
-def whitened_columns(problem: Problem, h: Float[Array, " H"], columns: np.ndarray) -> np.ndarray:
-    """Return columns (E, …), in output units, whitened by the noise at scales h."""
-    return whiten(problem, whitener(problem, np.asarray(h)), np.asarray(columns))
-
-
-def whitened_about(
-    problem: Problem, about: Linearised, h: Float[Array, " H"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
-    h, about = np.asarray(h), on_host(about)
-    by = whitener(problem, h)
-    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
-    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
-
-
 def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Return the standard deviations, (n,), of quantities with gradients (n, P) under a precision (P, P)."""
     return np.sqrt(np.sum(gradients * np.linalg.solve(precision, gradients.T).T, axis=1))
@@ -107,23 +88,6 @@ def log_marginal(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> 
     )
     size = about.z.shape[0]
     return fit - 0.5 * log_determinant + 0.5 * size * np.log(2 * np.pi) + log_normaliser(problem, h)
-
-
-def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
-    """Return the inverse of a positive definite matrix, (P, P).
-
-    Some parameters of a servo table are determined to 1e-8 of their prior, and the eigenvalues of their precision
-    differ by more than the rounding of the largest.  Cholesky's factor does not depend on the scale of the parameters,
-    and weak directions are those of the largest variance, which rounding does not touch.
-    """
-    scale = np.sqrt(np.diag(precision))
-    correlated = precision / np.outer(scale, scale)
-    try:
-        lower = np.linalg.cholesky(correlated)
-    except np.linalg.LinAlgError:
-        lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
-    half = np.linalg.solve(lower, np.diag(1 / scale))
-    return half.T @ half
 
 
 def inverse_within(precision: np.ndarray, basis: np.ndarray) -> np.ndarray:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.effects.base import AmbientEffect
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
-from imubayes.inference.parameter_fit import linearise_once
+from imubayes.foundations.numerics import inverse_of_precision
+from imubayes.inference.laplace_marginal import climb
+from imubayes.inference.parameter_fit import linearise_once, whitened_about
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
@@ -18,6 +19,7 @@ from imubayes.model.model_file import GRAVITY
 
 STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
            "injection_error")  # fmt: skip
+"""Effects of the station and of reference sensors: no part of the unit under test."""
 TOLD = 0.1
 """Least share of the information on a bias, scale factor or misalignment that comes from the data."""
 
@@ -64,3 +66,9 @@ def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInfor
     return LinearInformation(
         jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
     )
+
+
+def likely_scales(model: Model) -> np.ndarray:
+    """Return the most probable noise scales, (H,) in z, of a model linear about nominal equipment and sensors."""
+    about = linearise_once(model.problem, first_point(model.assembly))
+    return climb(model.problem, about, np.zeros(len(model.hyper_layout)))[0]

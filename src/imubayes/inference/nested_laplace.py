@@ -23,6 +23,7 @@ import scipy.special
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, cholesky, solve_each, solve_lower
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.conditional_precision import (
     Conditional,
     InnovationScale,
@@ -30,7 +31,7 @@ from imubayes.inference.conditional_precision import (
     conditional_precision,
     innovation_scale,
 )
-from imubayes.inference.laplace_marginal import ScaleMarginal, inverse_of_precision, inverse_within, knowledge
+from imubayes.inference.laplace_marginal import ScaleMarginal, inverse_within, knowledge
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.scale_statistics import ScaleStatistics
 from imubayes.inference.tabulated_directions import (

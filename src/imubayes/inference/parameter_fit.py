@@ -1,4 +1,4 @@
-"""The parameters θ at given noise scales, and the model linearised about them: one compiled program of a model.
+"""The parameters θ at given noise scales, and the model linearised about them and whitened: one program of a model.
 
 Levenberg–Marquardt evaluates the model with its Jacobian once for each step, and returns the linearisation of the last
 one.  A first step that ends it gives the linearisation about the start, so that no other program differentiates the
@@ -16,8 +16,8 @@ from imubayes.compiled.in_numpy import in_numpy
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
-from imubayes.model.likelihood import least_squares_form
-from imubayes.model.noise_covariance import whiten
+from imubayes.model.likelihood import least_squares_form, pseudo_values
+from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 
 _STEPS = 30
@@ -101,3 +101,18 @@ _linearised_in_numpy = in_numpy(linearised, most_values=5_000_000_000)
 def linearise_once(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the same as `linearise`, for a model that is not fitted: compiling it would take longer."""
     return on_host(_linearised_in_numpy(problem, np.asarray(z)))
+
+
+def whitened_columns(problem: Problem, h: Float[Array, " H"], columns: np.ndarray) -> np.ndarray:
+    """Return columns (E, …), in output units, whitened by the noise at scales h."""
+    return whiten(problem, whitener(problem, np.asarray(h)), np.asarray(columns))
+
+
+def whitened_about(
+    problem: Problem, about: Linearised, h: Float[Array, " H"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
+    h, about = np.asarray(h), on_host(about)
+    by = whitener(problem, h)
+    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
+    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)

@@ -16,8 +16,7 @@ import numpy as np
 from imubayes.foundations.arrays import cholesky, solve_lower
 from imubayes.inference.fitted_model import Fit, evenly_spaced
 from imubayes.inference.identifiability import Contribution, ProcedureShare
-from imubayes.inference.laplace_marginal import whitened_jacobian
-from imubayes.inference.parameter_fit import Linearised
+from imubayes.inference.parameter_fit import Linearised, whitened_columns
 from imubayes.model.problem import Problem, prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
@@ -125,7 +124,7 @@ def _variances(
 
     def at(h: np.ndarray) -> np.ndarray:
         # Entries of different runs share no noise: each part of the whitened Jacobian stands for itself.
-        jacobian = whitened_jacobian(problem, about, h)[places]
+        jacobian = whitened_columns(problem, h, about.jacobian)[places]
         parts = [jacobian[first:end] for first, end in pairwise((0, *ends))]
         alone = np.stack([part.T @ part for part in parts])
         # Summed, not taken from the whole: the difference would lose the digits of a small part.

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.foundations.campaign_data import KINDS
 from imubayes.foundations.quantity_names import AXIS_ANGLE, MOUNTING_ANGLE, QuantityName
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.derived_quantities import evaluate_derived, evaluate_directions
-from imubayes.model.nodes_and_entries import KINDS
 
-# An angle closer to 0° or 180° than this many standard deviations of its components is near it: at four the standard
-# deviation by its gradient is that of the angle to 3 %.
 NEAR = 4.0
+"""An angle closer to 0° or 180° than this many standard deviations of its components is near it: at four the standard
+deviation by its gradient is that of the angle to 3 %."""
 # Angles beyond are not looked at, deg: no posterior of a component is as wide.
 _CLOSE = 20.0
 _APART = 1e-3

@@ -19,7 +19,7 @@ from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.progress import counted
 from imubayes.foundations.records import Presented
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.run_fit import judged_fit
 from imubayes.loop.warm_start import extended, whitened

@@ -18,11 +18,12 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import noise_sd
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference import laplace_marginal as laplace
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.parameter_fit import Linearised, linearise
+from imubayes.inference.parameter_fit import Linearised, linearise, whitened_about
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
@@ -253,7 +254,7 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
 
     def at(point: np.ndarray) -> _OwnFit:
         about = linearise(problem, np.asarray(point))
-        residual, jacobian, widths = white = laplace.whitened_about(problem, about, h)
+        residual, jacobian, widths = white = whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
         return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
 
@@ -286,7 +287,7 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told
-    covariance = laplace.inverse_of_precision(precision)[np.ix_(shared, shared)]
+    covariance = inverse_of_precision(precision)[np.ix_(shared, shared)]
     scale = np.sqrt(np.diag(covariance))
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))

@@ -19,8 +19,7 @@ from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.records import finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_about
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.parameter_fit import linearise, whitened_about
 from imubayes.model.bind import Model, bind, dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec, ModelSpec

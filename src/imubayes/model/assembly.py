@@ -7,12 +7,12 @@ import numpy as np
 
 from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect, Stage
 from imubayes.foundations.arrays import Array
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import KINDS, Campaign
 from imubayes.foundations.signal_path_state import Ambient, Nodes
 from imubayes.model import signal_path
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
-from imubayes.model.nodes_and_entries import KINDS, NodeTable, hand_motion, motion_at, outer_axes, records_of
+from imubayes.model.nodes_and_entries import NodeTable, hand_motion, motion_at, outer_axes, records_of
 from imubayes.parameters.declarations import Layout
 
 

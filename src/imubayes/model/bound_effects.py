@@ -419,6 +419,13 @@ class Observability:
     channels : names of the channels it can act on; none for effects on the motion.
     missing : covariates that no run recorded, or that a run which it changes lacks, or the stimulus that no run has;
         empty where the campaign could show it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.observability(imubayes.load_campaign("data/accel-channel"))
+    >>> next(each.channels for each in found if each.effect_class.name == "accel_bias")
+    ('ax',)
     """
 
     effect_class: EffectClass
@@ -428,7 +435,20 @@ class Observability:
 
 
 def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
-    """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
+    """Return for every effect and noise member what the campaign has for it; nothing is fitted.
+
+    Parameters
+    ----------
+    campaign : whose runs may show it.
+    registry : the effects; those of the package if None.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.observability(imubayes.load_campaign("data/accel-channel"))
+    >>> next(each.missing for each in found if each.effect_class.name == "gyro_bias")
+    ('gyro',)
+    """
     prepare_jax()
     registry = registry or Registry()
     grouping = Grouping(campaign, join_nodes(campaign), join_entries(campaign))

@@ -12,13 +12,12 @@ import numpy as np
 from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.foundations.arrays import Array, Float, Int, in_batches, on_device
-from imubayes.foundations.campaign_data import Channel, component_names
+from imubayes.foundations.campaign_data import KINDS, Channel, component_names
 from imubayes.foundations.quantity_names import AXIS_ANGLE, DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, name_of
 from imubayes.foundations.units import to_si
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import RUN_AXES
-from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import (
     DerivedQuantity,

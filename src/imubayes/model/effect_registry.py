@@ -34,7 +34,18 @@ def acts_on_channels(effect_class: EffectClass) -> bool:
 
 @dataclass(frozen=True)
 class Registry:
-    """Effects and noise members by name."""
+    """Effects and noise members by name.
+
+    Attributes
+    ----------
+    effects : name → class; those of the package if none are given.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.Registry().find("accel_bias", "my tool").__name__
+    'AccelBias'
+    """
 
     effects: dict[str, EffectClass] = field(default_factory=lambda: {m.name: m for m in (*EFFECTS, *NOISES)})
 

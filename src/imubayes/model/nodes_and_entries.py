@@ -16,16 +16,13 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Int
-from imubayes.foundations.campaign_data import Campaign, Kind, Run
+from imubayes.foundations.campaign_data import KINDS, Campaign, Run
 from imubayes.foundations.covariates import ambient_names
 from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.signal_path_state import Ambient, HandMotion, Motion, OuterAxes, Records
 from imubayes.noise.components import RowSpan
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.kinematics import CarriedNodes, OuterMotion, Stimulus, turning_rate
-
-# Sorted, because that is the order in which JAX walks through a dictionary.
-KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.foundations.arrays import Array, Float, Scalar, Vectors
+from imubayes.foundations.arrays import Array, Float, Matrix3, Scalar, Vector3, Vectors
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE, ambient_names
-from imubayes.foundations.signal_path_state import Ambient, Experience, Nodes, SignalPath
-from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
+from imubayes.foundations.signal_path_state import Ambient, Experience, Nodes, Sample, SignalPath
+from imubayes.model.signal_path import Channels, Layer, initial_path, project, propagate
 
-WARMED_UP = 1e9  # s since power-on: longer than any warm-up
+WARMED_UP = 1e9
+"""Time since power-on that is longer than any warm-up, s."""
 
 
 class SensitivityInputs(eqx.Module):
@@ -90,6 +91,11 @@ def acting_on(rate: Vectors, force: Vectors) -> Experience:
     """
     zero = jnp.zeros_like(rate)
     return Experience(rate, force, rate, zero, zero, zero)
+
+
+def sample_at(axes: Matrix3, rate: Vector3, force: Vector3, ambient: Ambient) -> Sample:
+    """Return what one channel feels along its axes, (3, 3), at a rate (rad/s) and a specific force (m/s²)."""
+    return project(axes, acting_on(rate, force), ambient)
 
 
 def outputs_at(

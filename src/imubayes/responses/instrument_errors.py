@@ -35,6 +35,7 @@ from imubayes.parameters.declarations import declared_parameters
 from imubayes.parameters.priors import parse_prior
 
 CLOCK, VIBRATION_SENSOR, TIME_BASE, METER = "clock_error", "vibration_sensor_error", "output_time_base", "output_meter"
+"""Causes that are no effects of the catalogue: clock, vibration sensor, and what outputs are counted or metered by."""
 INSTRUMENTS = (
     "thermometer_error", "converter_thermometer_error", "thermometer_calibration", "converter_thermometer_calibration",
     CLOCK, VIBRATION_SENSOR, TIME_BASE, METER,

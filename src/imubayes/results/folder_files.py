@@ -61,15 +61,16 @@ def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | No
 
 
 SUMMARY = "summary.json"
-FIT = "fit.json"
-MODEL = "model.toml"
+FIT = "fit.json"  # its mode, with the hashes of data and model
+MODEL = "model.toml"  # as it was fitted
 RESIDUALS = "residuals.parquet"
 POSTERIOR = "posterior.nc"
 CHECKPOINT = "checkpoint.h5"
-MANIFEST = "manifest.json"
-HISTORY = "history.json"
+MANIFEST = "manifest.json"  # commits the others, with their hashes
+HISTORY = "history.json"  # what was tried on the way to this model
 CHANGE, ADDED_VARIABLE = "change.json", "added_variable.parquet"
 DIAGNOSIS, BUDGETS, CAUSES = "diagnosis.json", "budgets.json", "causes.json"
+"""Made of a finished fit, by other commands."""
 PAGE, FIGURES = "compare.html", "figures"
 CAPTIONS = "captions.json"
 """In `FIGURES`: the captions of what a comparison drew, by file name."""

@@ -19,9 +19,9 @@ from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.determined_combinations import combined
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.marginal import Digits, Marginal, draws_needed
 from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit, redrawn
 from imubayes.model.bind import Model
+from imubayes.results.marginal import Digits, Marginal, draws_needed
 from imubayes.results.result import Result, result_of
 from imubayes.results.standard_uncertainties import effective_size, least_effective
 from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity, is_constant

@@ -22,18 +22,19 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, family_of
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of
+from imubayes.inference.laplace_marginal import precision_of
 from imubayes.inference.parameter_fit import linearise
-from imubayes.inference.posterior_groups import in_units
 from imubayes.loop.joined_runs import JoinedCampaign, joined_campaign
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import Parameter, prior_slopes
 from imubayes.procedures.ambient import instant, starts_of
+from imubayes.results.posterior_groups import in_units
 from imubayes.results.prediction import LEAST_CHANCE
 
 # Share of the information from the data below which a calibration has nothing to be compared.  Convention.

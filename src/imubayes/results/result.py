@@ -24,13 +24,13 @@ from imubayes.inference.candidate_runs import NextRun
 from imubayes.inference.experiment_design import best_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
-from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import pseudo_values
 from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.results.fit_file import read_fit
 from imubayes.results.folder_files import POSTERIOR, checked, damaged, same_fit
+from imubayes.results.posterior_groups import Group, Groups, Labelled, posterior_groups
 from imubayes.results.stored_tables import Draws, Residuals, draws_of, read_summary_and_residuals
 from imubayes.results.summarise import summarise
 from imubayes.results.summary import Quantity, Summary

@@ -22,11 +22,11 @@ import tomlkit
 from tomlkit.items import AoT
 
 from imubayes.foundations.files import refuse_existing, write_text
-from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, Labels, posterior_groups
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
 from imubayes.results import folder_files
 from imubayes.results.fit_file import fit_record
+from imubayes.results.posterior_groups import SAMPLE, Group, Groups, Labelled, Labels, posterior_groups
 from imubayes.results.result import Result
 
 if TYPE_CHECKING:  # it reads diagnoses and refits, which a fit does not

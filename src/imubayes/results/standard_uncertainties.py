@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.linear_part import linear_moments, linear_part, thinned_scales
-from imubayes.inference.posterior_groups import in_units
-from imubayes.inference.posterior_variance import KnownVariance, variance_of
 from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.results.linear_part import linear_moments, linear_part, thinned_scales
+from imubayes.results.posterior_groups import in_units
+from imubayes.results.posterior_variance import KnownVariance, variance_of
 from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity, is_constant
 
 

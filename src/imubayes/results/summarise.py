@@ -17,7 +17,6 @@ from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.known_noise_fit import fit_at_known_noise
 from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
-from imubayes.adequacy.projection import Projection
 from imubayes.adequacy.weighed_records import doubted_runs
 from imubayes.foundations.quantity_names import DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.records import finite
@@ -34,7 +33,6 @@ from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.plausibility import prior_conflicts
-from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
 from imubayes.inference.procedure_contributions import QuantityDraws, contributions
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
@@ -44,6 +42,7 @@ from imubayes.procedures.fitted_terms import written
 from imubayes.responses.uncertain_equipment import uncertain_equipment
 from imubayes.results import summary as records
 from imubayes.results.fit_file import provenance
+from imubayes.results.posterior_groups import in_units
 from imubayes.results.standard_uncertainties import EstimatedCombination, standard_uncertainties, with_stated
 from imubayes.results.stored_tables import Residuals
 
@@ -187,10 +186,12 @@ def _noise(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...], Known
     """Return how the noise departs from its model, what contradicts the noise known beforehand, and the fit at it."""
     if fit.posterior is None:
         return NoiseJudgement((), ()), (), None
-    return (*_noise_of_residual(projected(fit)), fit_at_known_noise(fit))
+    return (*noise_of(fit), fit_at_known_noise(fit))
 
 
-def _noise_of_residual(at: Projection) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...]]:
+def noise_of(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...]]:
+    """Return how the noise of a fit made in this process departs from its model, and what contradicts what is known."""
+    at = projected(fit)
     return judged_noise_in(at), compare_with_known(at).contradicted
 
 

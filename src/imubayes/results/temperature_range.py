@@ -3,15 +3,9 @@
 A limit that holds from T₁ to T₂ is met by a draw where the quantity is within it at every temperature between.  Bias
 has polynomial terms in T − T_ref that add, scale factor such that multiply; other quantities do not depend on the
 temperature of the sensor in the model.
-
-A bias at a temperature is not one number, where the model has more than polynomials.  Hysteresis h puts it anywhere
-between the branches of warming and cooling, ± h; a lag of the time constant τ adds up to c·τ·|dT/dt|, no more than c
-times the range, and a term in dT/dt as much as that, at the fastest change of the runs.  Both branches have to be
-within a limit.  The next time that the unit is switched on it has another offset: normal with the scatter between runs,
-the same at all temperatures.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -52,8 +46,6 @@ FAMILIES = {
     "scale_factor": ThermalTerms("scale", (*_terms("gyro", "scale"), *_terms("accel", "scale"))),
 }
 """Family of quantities → its dependence on temperature; a family that is not listed has none."""
-_NO_TERMS = ThermalTerms("scale", ())
-_SCATTER = "run_scatter"
 
 
 @dataclass(frozen=True)
@@ -98,30 +90,6 @@ def thermal_quantities(names: Iterable[str]) -> tuple[str, ...]:
     """Return the quantities that depend on temperature, and the coefficients by which they do."""
     terms = {f"{effect}.{parameter}" for each in FAMILIES.values() for effect, parameter, _ in each.terms}
     return tuple(name for name in names if family_of(name) in terms or family_of(name) in FAMILIES)
-
-
-def shifts_over_range(
-    name: str,
-    unit: str,
-    draws: Mapping[str, np.ndarray],
-    model: ThermalModel,
-    span: tuple[float, float],
-    shifts: Mapping[str, np.ndarray],
-) -> np.ndarray:
-    """Return what r causes do to a quantity at the temperatures of `over_range`, (r, T), linear about the means.
-
-    Parameters
-    ----------
-    shifts : what each cause does to a quantity, (r,); 0 for one that is not named.
-    """
-    count = max((len(each) for each in shifts.values()), default=0)
-    at = {each: np.nanmean(draws[each]) + np.zeros(count + 1) for each in thermal_quantities(draws)}
-    at[name] = np.nanmean(draws[name]) + np.zeros(count + 1)
-    for each, values in shifts.items():
-        if each in at:
-            at[each][1:] += values
-    found = over_range(name, unit, at, model, span)
-    return found[1:] - found[:1]
 
 
 def course_over_range(
@@ -170,64 +138,3 @@ def over_range(
         return own * factor / at_default
     ratio = to_si(unit, STANDARD_GRAVITY)
     return ((1 + own * ratio) * factor - 1) / ratio
-
-
-def branches_over_range(
-    name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
-) -> np.ndarray:
-    """Return what `over_range` does with hysteresis and lag, shape (S, B·T): B branches of T temperatures.
-
-    There is one branch where nothing depends on what was before; else that of cooling follows that of warming.
-    """
-    values = over_range(name, unit, draws, model, span)
-    if FAMILIES.get(family_of(name), _NO_TERMS).kind != "bias":
-        return values
-    width = sum(_half_widths(name, draws, model, span), np.zeros(len(values))) / to_si(unit, STANDARD_GRAVITY)
-    return np.concatenate([values + width[:, None], values - width[:, None]], axis=1) if width.any() else values
-
-
-def scatter_of_next_run(name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel) -> np.ndarray:
-    """Return the standard deviation of the offset that a bias has in the next run, (S,); 0 for other quantities."""
-    count = len(draws[name])
-    if FAMILIES.get(family_of(name), _NO_TERMS).kind != "bias":
-        return np.zeros(count)
-    variance = sum((each**2 for each in _repeatability(name, draws, model)), np.zeros(count))
-    return np.sqrt(variance) / to_si(unit, STANDARD_GRAVITY)
-
-
-def _parameter(name: str, effect: str, parameter: str, draws: Mapping[str, np.ndarray]) -> str | None:
-    """Return the name of an effect's parameter of the sensor and channel of a quantity, where the model has it."""
-    parts = QuantityName.of(name)
-    sensor = parts.family.partition("_")[0]
-    effect = effect if effect == _SCATTER else f"{sensor}_{effect}"
-    shared = (parts.labels, ("all",))
-    return next((each for end in shared if (each := name_of(f"{effect}.{parameter}", *end)) in draws), None)
-
-
-def _half_widths(
-    name: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
-) -> Iterator[np.ndarray]:
-    """Yield what each effect of the past of a temperature adds to a bias at most, SI, (S,)."""
-
-    def own(effect: str, parameter: str) -> np.ndarray | None:
-        found = _parameter(name, effect, parameter, draws)
-        return None if found is None else np.abs(draws[found]) * to_si(model.units[found], STANDARD_GRAVITY)
-
-    half_width, lag = own("thermal_hysteresis", "half_width"), own("thermal_lag", "coefficient")
-    tau, slope = own("thermal_lag", "tau"), own("bias_temperature_rate", "slope")
-    if half_width is not None:
-        yield half_width
-    if lag is not None and tau is not None:
-        yield lag * np.minimum(tau * model.fastest, span[1] - span[0])
-    if slope is not None:
-        yield slope * model.fastest
-
-
-def _repeatability(name: str, draws: Mapping[str, np.ndarray], model: ThermalModel) -> Iterator[np.ndarray]:
-    """Yield the standard deviation of the offset that a run has of its own, SI, (S,)."""
-    spread, scatter = _parameter(name, "run_bias", "spread", draws), _parameter(name, _SCATTER, "tau", draws)
-    if spread is not None:
-        yield draws[spread] * to_si(model.units[spread], STANDARD_GRAVITY)
-    scale = model.scale.get(QuantityName.of(name).label)
-    if scatter is not None and scale is not None:
-        yield draws[scatter] / abs(scale)

@@ -10,9 +10,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from imubayes import Registry
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.quantity_names import QuantityName
-from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.parameters.declarations import declared_parameters
 from imubayes_archive.population.parameter_population import Populations

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.inference.fitted_model import Fit
+from imubayes import Fit
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 from imubayes.noise.components import EntryNoise

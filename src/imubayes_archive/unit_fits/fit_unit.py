@@ -24,30 +24,25 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
-from imubayes import Settings
-from imubayes.adequacy.known_noise import compare_with_known
-from imubayes.adequacy.noise_tests import judged_noise_in, projected
-from imubayes.criticism.diagnose import judge
+from imubayes import Fit, Registry, Settings, diagnose
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
 from imubayes.foundations.errors import InputError
-from imubayes.inference.conditional_precision import conditional_precision
-from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.foundations.progress import silent
 from imubayes.inference.identifiability import from_data
 from imubayes.inference.laplace_marginal import Curvature
-from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
-from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
-from imubayes.inference.noise_scale_modes import resampled
+from imubayes.inference.laplace_proposal import PARETO_K
+from imubayes.inference.nested_laplace import HyperProbes, hyper_probes
 from imubayes.inference.parameter_fit import Linearised, linearise
-from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import Mode, log_evidence
-from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws
+from imubayes.inference.run_fit import UnbentDraws, fit_of_draws, joint_fit, weighed_draws
 from imubayes.inference.tabulated_directions import TabulatedDensity, from_normal, log_density
 from imubayes.model.bind import Model, bind
-from imubayes.model.effect_registry import Registry
 from imubayes.model.likelihood import whitened
 from imubayes.model.model_file import ModelSpec
 from imubayes.model.problem import Problem
+from imubayes.results.posterior_groups import in_units
+from imubayes.results.summarise import noise_of
 from imubayes.results.summary import is_constant
 from imubayes_archive.unit_fits import group_moments as moments
 from imubayes_archive.unit_fits.batch_folder import BatchSettings, UnitSource
@@ -61,8 +56,8 @@ from imubayes_archive.unit_fits.posterior_table import (
     UnitPosterior,
 )
 
-# Draws weighed, and those of a block.  Effort: weighted moments are known to 0.03 standard deviations.
-_DRAWS, _BATCH = 1000, 64
+# Draws weighed.  Effort: weighted moments are known to 0.03 standard deviations.
+_DRAWS = 1000
 # Where the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and the shape of weights that hardly differ does not matter.
 _LARGEST = 2.5
@@ -104,10 +99,7 @@ def weight_shape(fit: Fit, seed: int) -> WeightShape:
     fit : with a posterior by the Laplace approximation.
     seed : of the draws.
     """
-    assert fit.posterior is not None
-    problem = fit.model.problem
-    proposal = LaplaceProposal(fit.posterior.approximation, problem)
-    weighed = weigh(LogDensity(problem, _BATCH), proposal, 1, _DRAWS, seed)
+    weighed = weighed_draws(fit, _DRAWS, seed)
     if weighed is None:
         return WeightShape(np.inf, np.inf, np.inf, np.inf)
     return shape_of(weighed.points[0], weighed.weight[0], weighed.pareto_k)
@@ -134,17 +126,6 @@ def _off(points: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]) -> f
 _SCALES, _EACH = 256, 8
 # Half the distance of the central differences of the gradient.
 _APART = 1e-3
-
-
-class LaneDraws(eqx.Module):
-    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first.
-
-    `log_weight`, up to a constant, is the Laplace marginal of the scales over the density that they were drawn from.
-    """
-
-    delta: Float[Array, "*S M P"]
-    h: Float[Array, "*S H"]
-    log_weight: Float[Array, "*S"]
 
 
 def hyper_curvature(
@@ -179,10 +160,10 @@ def draws(
     axes: Float[Array, "H H"],
     along: TabulatedDensity,
     normal: tuple[Float[Array, "S H"], Float[Array, "S M P"]],
-) -> LaneDraws:
+) -> UnbentDraws:
     """Return draws of the approximation before they are bent, for standard normal vectors."""
 
-    def at(vectors: tuple[Array, Array]) -> LaneDraws:
+    def at(vectors: tuple[Array, Array]) -> UnbentDraws:
         step = from_normal(along, vectors[0])
         here = h + axes @ step
         known = moments.normal_equations(problem, index, model, here)
@@ -190,7 +171,7 @@ def draws(
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
         weight = moments.log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
-        return LaneDraws(mean[None, :] + spread, here, weight)
+        return UnbentDraws(mean[None, :] + spread, here, weight)
 
     return jax.lax.map(at, normal)
 
@@ -258,29 +239,11 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
     return hyper_probes(np.asarray(mode.h)[lane], information)
 
 
-def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws) -> Fit:
+def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: UnbentDraws) -> Fit:
     """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
-    problem, z, h = model.problem, np.asarray(found.model.z), np.asarray(found.h)
-    about = linearise(problem, z)
-    mode = Mode(z, h, float(found.decrement), about, on_host(at), 0, True, True)
-    fit = judged_fit(model, mode)
-    if not fit.converged:
-        return fit
-    weak, _, bend = curved_directions(problem, mode)
-    given = conditional_precision(problem, mode)
-    approximation = NestedLaplace(z, h, np.asarray(axes), on_host(along), given, weak, bend)
-    delta = np.asarray(drawn.delta).reshape(-1, len(z))
-    bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
-    points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
-    points = resampled(points, np.repeat(np.asarray(drawn.log_weight), _EACH))
-    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
-
-
-def _bent(delta: np.ndarray, weak: np.ndarray, bend: np.ndarray) -> np.ndarray:
-    """Return the bend of steps (S, P)."""
-    along = delta @ weak
-    pairs = (along[:, :, None] * along[:, None, :]).reshape(len(delta), -1)
-    return 0.5 * pairs @ bend.reshape(-1, delta.shape[1])
+    z, h = np.asarray(found.model.z), np.asarray(found.h)
+    mode = Mode(z, h, float(found.decrement), linearise(model.problem, z), on_host(at), 0, True, True)
+    return fit_of_draws(model, mode, np.asarray(axes), on_host(along), drawn)
 
 
 QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
@@ -351,30 +314,30 @@ def posterior_of(
         status="fitted" if fit.converged else "not_converged",
         reason=fit.message,
         where="" if fit.converged else identity.file,
-        verdict=judge(fit).verdict if settings.diagnose else "",
+        verdict=diagnose(fit, progress=silent).verdict if settings.diagnose else "",
         method="laplace" if posterior.chains is None else "emcee",
         pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
-        draws=_effective_draws(posterior),
+        draws=_effective_draws(fit),
         readings=readings,
         chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
         log_evidence=float(log_evidence(fit.mode)),
     )
     if fit.converged:
-        at = projected(_without_padding(fit, recorded or fit.model))
+        noise, contradicted = noise_of(_without_padding(fit, recorded or fit.model))
         outcome = replace(
             outcome,
-            noise_violations=tuple(dict.fromkeys(each.kind for each in judged_noise_in(at).violations)),
-            noise_contradicted=tuple(dict.fromkeys(each.parameter for each in compare_with_known(at).contradicted)),
+            noise_violations=tuple(dict.fromkeys(each.kind for each in noise.violations)),
+            noise_contradicted=tuple(dict.fromkeys(each.parameter for each in contradicted)),
         )
     values = in_units(fit.model, posterior.points)
     return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
 
 
-def _effective_draws(posterior: Posterior) -> float:
+def _effective_draws(fit: Fit) -> float:
     """Return how many independent draws the estimates are worth, those of the worst component."""
-    if posterior.chains is None:
-        return float(len(posterior.points))
-    return float(np.min(posterior.chains.diagnosis.ess_bulk))
+    assert fit.posterior is not None
+    chains = fit.posterior.chains
+    return float(len(fit.posterior.points)) if chains is None else float(np.min(chains.diagnosis.ess_bulk))
 
 
 def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:

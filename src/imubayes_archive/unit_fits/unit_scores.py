@@ -27,13 +27,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from imubayes import Fit
 from imubayes.criticism.evidence.effect_variants import EffectVariant
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, input_error, kept_if_possible
 from imubayes.foundations.files import new_folder
-from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.model_file import ModelSpec, read_carried_model
 from imubayes.responses.candidate_effects import Response, candidate_responses

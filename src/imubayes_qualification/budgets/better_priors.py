@@ -1,6 +1,6 @@
 """What better priors would leave of a variance, and the second-order part of a quantity.
 
-The linear part of a quantity is that of `imubayes.inference.linear_part`, whose symbols are used here.  The
+The linear part of a quantity is that of `imubayes.results.linear_part`, whose symbols are used here.  The
 second-order part is ½ wᵀBw, B from the bend and from the curvature of the quantity itself.
 
 A better prior shows what would be left of a variance, noise scales unknown.  It is one more reading x of its parameter
@@ -22,13 +22,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes import Fit
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision
-from imubayes.inference.linear_part import LinearMoments, LinearPart
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem
+from imubayes.results.linear_part import LinearMoments, LinearPart
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ so its variance is Σ (W C g)² + Σ (C g)²/s² = gᵀ C (WᵀW + diag s⁻²) 
 up to the posterior variance exactly.  A prior that becomes exact, or noise that is halved, changes the weights of all
 other inputs too; what is then left follows from updates of C.
 
-The posterior variance itself is found by control variates (`imubayes.inference.posterior_variance`).
+The posterior variance itself is found by control variates (`imubayes.results.posterior_variance`).
 The slope of q on u, 1 if q is linear, holds what odd orders add to the linear part (statistical linearisation).
 What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
 and the length of a vector, say, bends otherwise than they do.
@@ -24,11 +24,11 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
-from imubayes.inference.laplace_marginal import inverse_of_precision
-from imubayes.inference.linear_part import LinearPart
-from imubayes.inference.posterior_variance import KnownVariance, variance_of
+from imubayes.results.linear_part import LinearPart
+from imubayes.results.posterior_variance import KnownVariance, variance_of
 from imubayes_qualification.budgets.better_priors import QuantityDerivatives, second_order
 from imubayes_qualification.evaluation.coverage import IntervalShape
 

@@ -22,9 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes import Fit
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.records import Record
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_columns
+from imubayes.inference.parameter_fit import whitened_columns
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import prior_widths
 from imubayes.responses.candidate_effects import Response, candidate_responses

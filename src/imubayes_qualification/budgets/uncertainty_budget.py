@@ -15,20 +15,20 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
-from imubayes.inference.linear_part import (
-    LinearPart,
-    evenly,
-    linear_part,
-    thinned_scales,
-)
-from imubayes.inference.parameter_fit import Linearised, linearise
+from imubayes import Fit
+from imubayes.foundations.numerics import inverse_of_precision
+from imubayes.inference.parameter_fit import Linearised, linearise, whitened_columns
 from imubayes.inference.vector_length import NEAR, Components, components_near_zero
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.responses.instrument_errors import INSTRUMENTS
+from imubayes.results.linear_part import (
+    LinearPart,
+    evenly,
+    linear_part,
+    thinned_scales,
+)
 from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary
@@ -200,7 +200,7 @@ def budget_of(
     draws, slopes = _with_functions(quantities, functions or {})
     problem, campaign = fit.model.problem, fit.model.campaign
     about = fit.mode.about if fit.mode is not None else linearise(problem, np.asarray(fit.z))
-    whitened, part = np.asarray(whitened_jacobian(problem, about, np.asarray(fit.h))), linear_part(fit, about)
+    whitened, part = whitened_columns(problem, fit.h, about.jacobian), linear_part(fit, about)
     widths = part.conditionals(problem, fit.h[None]).widths[0]
     covariance = parts.posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
@@ -375,7 +375,7 @@ def _over_runs(
     """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
     found = []
     for scales, precision in zip(h, part.conditionals(problem, h).precision, strict=True):
-        whitened = np.asarray(whitened_jacobian(problem, about, np.asarray(scales)))
+        whitened = whitened_columns(problem, scales, about.jacobian)
         found.append(parts.type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
     return np.stack(found, axis=2)
 

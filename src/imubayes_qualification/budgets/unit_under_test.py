@@ -9,7 +9,7 @@ import polars as pl
 
 from imubayes.foundations.quantity_names import name_of
 from imubayes.inference.identifiability import WEAK_SHARE
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes.results.posterior_quantities import (
     PosteriorQuantities,
     posterior_quantities,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes import Registry
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.quantity_names import (
     AXIS_ANGLE,
@@ -21,7 +22,6 @@ from imubayes.foundations.quantity_names import (
     QuantityName,
     family_of,
 )
-from imubayes.model.effect_registry import Registry
 from imubayes.parameters.declarations import declared_parameters
 from imubayes_qualification.budgets.budget_parts import BudgetLine, QuantityBudget
 from imubayes_qualification.budgets.report_budgets import UnitWithBudgets

@@ -22,16 +22,16 @@ from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.errors import InputError, closest_first
 from imubayes.foundations.quantity_names import QuantityName, family_of
 from imubayes.foundations.units import same_dimension, to_si
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity
-from imubayes.results.temperature_range import (
-    TEMPERATURES_OF_RANGE,
+from imubayes.results.temperature_range import TEMPERATURES_OF_RANGE
+from imubayes_qualification.budgets.unit_under_test import RangeDraws, TestedUnit, is_measured, unit_under_test
+from imubayes_qualification.certificate.limits_over_range import (
     branches_over_range,
     scatter_of_next_run,
     shifts_over_range,
 )
-from imubayes_qualification.budgets.unit_under_test import RangeDraws, TestedUnit, is_measured, unit_under_test
 from imubayes_qualification.certificate.specification import LimitEntry, SpecificationFile, read_specification, rule_of
 from imubayes_qualification.evaluation import decision_rules as rules
 from imubayes_qualification.evaluation.coverage import Coverage, coverage_of

@@ -7,9 +7,9 @@ import numpy as np
 
 from imubayes import Diagnosis
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, QuantityName, family_of, name_of
-from imubayes.inference.marginal import digits_deserved, digits_stated, draws_needed
 from imubayes.parameters.priors import Normal
 from imubayes.results import summary as records
+from imubayes.results.marginal import draws_needed
 from imubayes.results.result import Result
 from imubayes_qualification.budgets.standard_quantities import (
     STANDARD_QUANTITIES,
@@ -26,6 +26,7 @@ from imubayes_qualification.evaluation.decision_rules import (
     ToleranceInterval,
     conformance_probability,
 )
+from imubayes_qualification.evaluation.stated_digits import digits_deserved, digits_stated
 
 _MOST_SCREENED = 4
 

@@ -9,13 +9,11 @@ import math
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.explanation_records import Evidence, Verdict
+from imubayes.criticism.explanation_records import Evidence, ParameterBias, Verdict
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import closest_first
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
-from imubayes.inference.marginal import Statistic
 from imubayes.results.summary import CombinedQuantities, NoiseViolation, RunSummary
 from imubayes_qualification.budgets.budget_parts import UncertaintyBudgets
 from imubayes_qualification.budgets.measurement_equation import MeasurementModel
@@ -27,6 +25,7 @@ from imubayes_qualification.certificate.report_pictures import PictureData
 from imubayes_qualification.certificate.report_subject import Provenance, Subject
 from imubayes_qualification.evaluation.coverage import IntervalShape
 from imubayes_qualification.evaluation.decision_rules import NoDecision, Outcome, RuleName, Withheld
+from imubayes_qualification.evaluation.stated_digits import Statistic
 
 IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
 NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]

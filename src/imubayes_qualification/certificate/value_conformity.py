@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.records import Presented
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.certificate.report_record import ReportedEstimate
 from imubayes_qualification.certificate.specification import ProductionEntry, RuleEntry, issues_of_rule, rule_of
 from imubayes_qualification.evaluation import decision_rules as rules

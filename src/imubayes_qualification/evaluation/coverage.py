@@ -28,7 +28,7 @@ import numpy as np
 from scipy import special
 
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.inference.marginal import Marginal, MonteCarloErrors
+from imubayes.results.marginal import Marginal, MonteCarloErrors
 
 IntervalShape = Literal["symmetric", "equal-tailed", "shortest"]
 COVERAGE_PROBABILITY = 0.95

@@ -32,7 +32,8 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.foundations.numerics import gauss_legendre
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.inference.marginal import Marginal
+from imubayes.results.marginal import Marginal
+from imubayes_qualification.evaluation.fitted_marginal import fitted_to
 
 RISK_ERRORS = 3.0
 """Monte Carlo errors by which a risk from draws may differ from that of quadrature.
@@ -158,7 +159,7 @@ def conformance_probability(marginal: Marginal, tolerance: ToleranceInterval) ->
     error = fraction_error(inside, marginal.effective)
     if not marginal.sd > 0:
         return compared(inside, inside, 0.0, marginal.effective)
-    smooth = marginal.smooth.probability(tolerance.lower, tolerance.upper)
+    smooth = fitted_to(np.sort(marginal.draws)).probability(tolerance.lower, tolerance.upper)
     return compared(inside, smooth, error, marginal.effective)
 
 

@@ -16,15 +16,11 @@ import numpy as np
 import polars as pl
 import tomlkit
 
-from imubayes import load_campaign
+from imubayes import fit, sample
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record
-from imubayes.inference.marginal import Marginal
-from imubayes.inference.run_fit import joint_fit
-from imubayes.inference.user_density import sample
-from imubayes.model.bind import bind
-from imubayes.model.model_file import read_model
+from imubayes.results.marginal import Marginal
 from imubayes_qualification.evaluation.decision_rules import ToleranceInterval, conformance_probability
 from imubayes_qualification.evaluation.input_quantities import InputQuantity
 from imubayes_qualification.evaluation.propagation import propagate
@@ -222,7 +218,7 @@ def _constructed() -> Iterator[KnownAnswer]:
         folder = Path(name)
         _write_campaign(folder, outputs)
         _write_model(folder / "model.toml")
-        found = joint_fit(bind(read_model(folder / "model.toml"), load_campaign(folder)), None)
+        found = fit(folder, folder / "model.toml", sample=False).fit
     if found.posterior is None:
         yield _answer("joint fit: converged", "by construction", 1.0, 0.0, 0.0)
         return

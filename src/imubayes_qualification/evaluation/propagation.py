@@ -19,7 +19,7 @@ import numpy as np
 
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.records import Presented
-from imubayes.inference.marginal import Digits, numerical_tolerance
+from imubayes.results.marginal import Digits, numerical_tolerance
 from imubayes_qualification.evaluation import law_of_propagation as law
 from imubayes_qualification.evaluation.coverage import shortest_interval
 from imubayes_qualification.evaluation.input_quantities import InputQuantity

@@ -15,7 +15,7 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import finite
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
-from imubayes.inference.run_fit import campaign_hash, model_hash
+from imubayes.results.fit_file import provenance
 from imubayes.results.result import Result
 from imubayes_qualification.onboard import record as onboard
 from imubayes_qualification.onboard import unexpressed_effects as unexpressed
@@ -93,14 +93,14 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
     made = {kind: _record(kind, triads[kind], posterior, grid, noise, spans[kind]) for kind in sorted(kinds)}
     records = _checked(made, posterior, ranges)
     constants = tuple(_constants(triads, prior))
-    summary, model = result.summary, result.fit.model
+    summary, origin = result.summary, provenance(result.fit, seed=0)
     return onboard.OnboardConstants(
         serial=posterior.campaign.serial,
         campaign=summary.campaign,
         model=summary.model,
         version=version("imubayes"),
-        data_sha256=campaign_hash(model),
-        model_sha256=model_hash(model),
+        data_sha256=origin.data_sha256,
+        model_sha256=origin.model_sha256,
         gravity_m_s2=posterior.campaign.site.gravity,
         reference_degC=REFERENCE_TEMPERATURE,
         needs=needs,

@@ -22,8 +22,7 @@ from imubayes.foundations.signal_path_state import Ambient
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_file import EffectSpec
 from imubayes.model.parameter_priors import parameter_of
-from imubayes.model.sensitive_axes import acting_on
-from imubayes.model.signal_path import project
+from imubayes.model.sensitive_axes import sample_at
 from imubayes.parameters.declarations import Parameter, declared_parameters, prior_slopes
 from imubayes.responses.candidate_effects import fitting_channels, lacking_effects
 from imubayes.results.result import Result
@@ -165,7 +164,7 @@ class _Unit:
         scale = channel.scale_si if member.stage == Stage.CONVERTER else 1.0
 
         def added(rate, force):
-            seen = project(np.asarray(channel.axes), acting_on(rate, force), ambient)
+            seen = sample_at(np.asarray(channel.axes), rate, force, ambient)
             sample = replace(seen, output_scale=np.asarray(channel.scale_si))
             signal = scale * (sample.rate if channel.kind == "gyro" else sample.force)[0]
             return (make.apply(signal, sample) - signal) / scale

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
+from imubayes import Fit
 from imubayes.campaign.run_tables import refuse_too_large
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
@@ -24,7 +25,6 @@ from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.units import to_si
-from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on

@@ -21,11 +21,10 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
-from imubayes.foundations.campaign_data import Campaign, Channel
+from imubayes.foundations.campaign_data import KINDS, Campaign, Channel
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import input_error
 from imubayes.model.model_file import UncertainEquipment
-from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.results.result import Result

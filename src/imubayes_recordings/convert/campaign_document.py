@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction import turning_span
+from imubayes.campaign.reduction.log_survey import turning_span
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.units import to_si

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes import observability
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.linear_information import STATION, TOLD, linear_information, of_equipment
 from imubayes.model.bind import Model, bind
-from imubayes.model.bound_effects import observability
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 

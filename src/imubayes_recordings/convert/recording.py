@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.file_schemas import ABSURD
 from imubayes.foundations.errors import InputError, closest_first, input_error
+from imubayes.foundations.units import ABSURD
 
 BLOCK_ROWS = 1 << 16
 

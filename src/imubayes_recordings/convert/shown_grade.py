@@ -14,12 +14,10 @@ import numpy as np
 
 from imubayes.campaign.unit_grade import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.inference.laplace_marginal import climb, inverse_of_precision
-from imubayes.inference.linear_information import TOLD, linear_information
-from imubayes.inference.parameter_fit import linearise_once
+from imubayes.inference.linear_information import TOLD, likely_scales, linear_information
 from imubayes.model.bind import Model, bind
-from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import ModelSpec
 from imubayes_recordings.convert.proposed_effects import SENSORS, EffectProposal
 
@@ -80,8 +78,7 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
     grade: Grade = coarser[0]
     # Under the widest priors the noise scales do not make up for errors that the priors forbid.
     wide = _graded(spec, campaign, grade)
-    about = linearise_once(wide.problem, first_point(wide.assembly))
-    h, _ = climb(wide.problem, about, np.zeros(len(wide.hyper_layout)))
+    h = likely_scales(wide)
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.equipment import PRESETS
 from imubayes.campaign.setup_gate.error_model import TABLE_UNSTATED
+from imubayes.foundations.campaign_data import PRESETS
 from imubayes.foundations.earth import towards
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, TABLE_RATE
 from imubayes_recordings.convert.recorded_runs import RecordedRun, still_seconds

@@ -6,12 +6,12 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT
 
+from imubayes import Registry
 from imubayes.display.layout import Report
 from imubayes.display.numbers_and_labels import listed, percent
 from imubayes.foundations.covariates import remedy
 from imubayes.foundations.wording import counted
 from imubayes.inference.linear_information import STATION, of_equipment
-from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.parameters.declarations import declared_parameters
 from imubayes.procedures import PROCEDURES, Procedure

@@ -18,7 +18,7 @@ from typing import IO
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction import sampling_interval
+from imubayes.campaign.reduction.log_survey import sampling_interval
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.foundations.errors import input_error
 

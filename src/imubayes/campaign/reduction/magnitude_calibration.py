@@ -27,6 +27,7 @@ _LEAST_TOLD = 0.01
 _EVERY, _LEAST_LOG = 40, -690.0
 LEAST_FREEDOM = 2  # of the others, to judge one
 LEAST_TO_JUDGE = ALL + LEAST_FREEDOM + 1
+"""Poses from which on a disturbed one is found: nine parameters, and those that are left to judge it."""
 
 
 @dataclass(frozen=True)

@@ -92,17 +92,20 @@ def padded(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 WINDOW_SECONDS = 1.0
+"""Length of the window in which the variance is compared with that at rest."""
 LEAST_POSE_SECONDS = 0.8
 QUIET_SHARE = 0.05  # this share of the windows, those of least variance, is assumed to be at rest
 INITIAL_RATIO = 20.0  # variance ratio to the quietest windows at which the initial rest ends
 TURNING_SECONDS = 0.1  # window in which the gyros tell turning from noise, of at least
 TURNING_SAMPLES = 10
 TURNING_RATIO = 3.0  # mean square of the rate, in medians over the rest, at which the unit turns
-MOST_ROTATION = np.deg2rad(2.0)  # by the gyros, within a window: the unit was not still
+MOST_ROTATION = np.deg2rad(2.0)
+"""Rotation within a window, by the gyros, from which on the unit was not still, rad."""
 TURN = np.deg2rad(30.0)  # a rotation beyond is meant: what is before and after it are two poses
 SAME_POSE = np.deg2rad(0.5)
 SAME_POSE_GAP_SECONDS = 5.0
-LEAST_G, MOST_G = 0.6, 1.6  # what bias and scale factor leave of g at rest; another unit is further away
+LEAST_G, MOST_G = 0.6, 1.6
+"""What bias and scale factor leave of g at rest; another unit is further away."""
 
 
 @dataclass(frozen=True)

@@ -93,8 +93,9 @@ COMPENSATED = 0.03
 LEVER_ARM = 0.5
 """Largest distance of an accelerometer from the axis of a table, m."""
 MOUNTING_UNSTATED, TABLE_UNSTATED = 1.0 * _DEG, 0.2 * _DEG
+"""Standard deviations of a mounting and of the axis of a table that are assumed if none is stated, rad."""
 MOUNTING_LEAST, TABLE_LEAST = 0.05 * _DEG, 0.02 * _DEG
-"""Standard deviations of a mounting and of the axis of a table where none is stated, and the least that is assumed."""
+"""The least that are assumed, rad."""
 
 
 def widths(kind: str, grade: Grade) -> Widths:

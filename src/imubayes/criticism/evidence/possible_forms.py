@@ -37,13 +37,16 @@ def _possible(
 ) -> FormHypothesis | None:
     """Return a form with the amplitudes that a sensor can have; None where it has none."""
     covariates = [each for each in known if each.name in form.covariates]
-    largest = max((_largest_amplitude(problem, k, covariates) for k in form.columns), default=np.inf)
+    largest = max((largest_amplitude(problem, k, covariates) for k in form.columns), default=np.inf)
     kept = tuple(each for each in form.amplitudes if each <= largest)
     return replace(form, amplitudes=kept) if kept else None
 
 
-def _largest_amplitude(problem: LinearProblem, channel: int, covariates: Sequence[ResidualCovariate]) -> float:
-    """Return the largest response of a channel to the least of some covariates, in units of its noise."""
+def largest_amplitude(problem: LinearProblem, channel: int, covariates: Sequence[ResidualCovariate]) -> float:
+    """Return the largest response of a channel to the least of some covariates, in units of the noise of a row.
+
+    It is infinite for covariates without a bound, such as the time.
+    """
     rows = problem.rows[channel]
     bounds = LARGEST.get(rows.kind, {})
     found = [np.inf]

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.adequacy.adequacy_record import NOISE_AGREES
-from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
-from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.explanation_records import FormulaTerm, ParameterBias
 from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import noise_ratio
 from imubayes.display.fit_quality_tables import run_design_text

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator
 
 from imubayes.adequacy.adequacy_record import Disagreement, NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
-from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import (
     NAMED,
     EffectSlot,
@@ -18,6 +17,7 @@ from imubayes.criticism.explanation_records import (
     FoundForm,
     FoundNoise,
     FoundStep,
+    ParameterBias,
 )
 from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd

@@ -12,10 +12,10 @@ import polars as pl
 from imubayes.display.classical_comparison import classical_values, with_outputs
 from imubayes.inference.determined_combinations import combined
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_groups import in_units
 from imubayes.loop.warm_start import null_point
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import predict_many
+from imubayes.results.posterior_groups import in_units
 from imubayes.results.summary import Summary
 
 

@@ -8,7 +8,7 @@ from imubayes.display.layout import Cell
 from imubayes.display.numbers_and_labels import NO_NUMBER, listed, pretty, rounded, significant
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.wording import counted
-from imubayes.inference.marginal import last_digit
+from imubayes.results.marginal import last_digit
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.certificate.conformity import Obstacle
 from imubayes_qualification.display.report.document import Mood

@@ -1,7 +1,7 @@
 """Posterior variances of quantities, with their linear parts as control variates.
 
 The variance of some thousand draws is known to two per cent, and a standard uncertainty with two digits has to be known
-better.  The linear part u of q has a variance V that is known (`imubayes.inference.linear_part`).  So
+better.  The linear part u of q has a variance V that is known (`imubayes.results.linear_part`).  So
 V + (s²(q) − s²(u)), both sample variances of the same draws, has the Monte Carlo error of the difference alone: that of
 the nonlinear part.  V is the variance of u under the nested Laplace approximation.  Two findings end that:
 

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.arrays import cholesky, on_host, solve_lower
+from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Curvature, inverse_of_precision
+from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.nested_laplace import weak_directions
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.posterior_mode import Mode
