@@ -359,11 +359,11 @@ def scale_statistics(
     cells, cell = len(classes.cell_class), classes.cell_of[order]
     along = np.zeros((cells + 1, len(z)))
     np.add.at(along, cell, rows)
-    sums = tuple(np.bincount(cell, of_rows, cells + 1)[:cells] for of_rows in (e, np.ones(len(e))))
-    alike = None
+    of_misfit, of_rows = (np.bincount(cell, each, cells + 1)[:cells] for each in (e, np.ones(len(e))))
+    sums, alike = (along[:cells], of_misfit, of_rows), None
     if stored:
-        sums_of_cells = (along[:cells], *sums)
-        alike = alike_groups(classes.cell_class, classes.cell_group, classes.probed, classes.count, sums_of_cells)
+        alike = alike_groups(classes.cell_class, classes.cell_group, classes.probed, classes.count, sums)
+    size = np.diff(begin).astype(float)
     return ScaleStatistics(
-        problem, classes, z, rows, of, gram, pulled, square, np.diff(begin).astype(float), along[:cells], *sums, alike
+        problem, classes, z, rows, of, gram, pulled, square, size, along[:cells], of_misfit, of_rows, alike
     )
