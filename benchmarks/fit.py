@@ -15,7 +15,7 @@ from common import Report, in_words, once, seconds, trihedral
 from plain_numpy import PlainModel
 from scipy.optimize import least_squares
 
-from imubayes.inference.least_squares import GramCholesky
+from imubayes.inference.levenberg_marquardt import GramCholesky
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.parameter_fit import fit_at, fit_parameters
 from imubayes.inference.posterior_mode import find_mode

@@ -27,14 +27,8 @@ from common import Report, require, trihedral
 from control_variates import compare
 from emcee.autocorr import integrated_time
 
-from imubayes.inference.ensemble_sampling import (
-    _SHORT_SHARE,
-    _SHORT_STEP,
-    Settings,
-    _sampler,
-    burn_in,
-    walkers_for,
-)
+from imubayes.inference.chains import Settings, walkers_for
+from imubayes.inference.ensemble_sampling import _SHORT_SHARE, _SHORT_STEP, _sampler, burn_in
 from imubayes.inference.laplace_proposal import LaplaceMove, LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace, posterior_precision
 from imubayes.inference.posterior_mode import find_mode

@@ -36,7 +36,7 @@ from .foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, T
 from .foundations.errors import InputError, NotKept
 from .foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from .foundations.units import dimension, to_si
-from .inference.ensemble_sampling import Settings
+from .inference.chains import Settings
 from .inference.fitted_model import Fit
 from .inference.user_density import Samples, sample
 from .model.bind import Model, bind

@@ -60,4 +60,4 @@ def explore(
         begun.stop(_STEP)
 
 
-COMMANDS = (Command(explore, "The loop", 9),)
+COMMANDS = (Command("imubayes_explorer.cli:explore", "The loop", 9),)

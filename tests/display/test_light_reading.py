@@ -7,16 +7,22 @@ from pathlib import Path
 import pytest
 
 # What `imubayes fit --no-sample` imports, command line and report included.
-FIT = ("imubayes.cli.main", "imubayes.results.folder_state", "imubayes.display.check_report", "imubayes.api.fitting",
-       "imubayes.display.fit_report")  # fmt: skip
+FIT = ("imubayes.cli.main", "imubayes.cli.fit", "imubayes.results.folder_state", "imubayes.display.check_report",
+       "imubayes.api.fitting", "imubayes.display.fit_report")  # fmt: skip
 SATELLITES = ("criticism.evidence", "simulation")
+CAMPAIGN = Path(__file__).parents[2] / "data" / "hidden-gyro"
+MOST_MODULES = 190
+"""Modules of our own that a fit of that campaign may import."""
 HEAVY = {"jax", "equinox", "optimistix", "emcee", "arviz_stats", "arviz_base"}
 
 
-def executed(*modules: str) -> set[str]:
-    """Return the modules that a process has executed after importing modules; lazy ones are left to their first use."""
+def executed(*modules: str, then: str = "") -> set[str]:
+    """Return the modules that a process has executed after importing modules, and what it does then.
+
+    Lazy ones are left to their first use.
+    """
     code = (
-        f"import sys, importlib.util, {', '.join(modules)}\n"
+        f"import sys, importlib.util, {', '.join(modules)}\n{then}\n"
         "lazy = importlib.util._LazyModule\n"
         "print(*(name for name, module in sys.modules.items() if type(module) is not lazy))"
     )
@@ -56,6 +62,22 @@ def test_a_fit_loads_no_satellite():
     assert satellites(executed(*FIT, "imubayes_qualification.budgets.report_budgets"))
 
 
+@pytest.mark.compiled  # processes
+def test_a_fit_imports_what_its_campaign_needs():
+    def own(*modules: str) -> set[str]:
+        read = f"import imubayes.campaign as read; read.inspect_campaign({str(CAMPAIGN)!r})"
+        return {name for name in executed(*FIT, *modules, then=read) if name.startswith("imubayes")}
+
+    found = own()
+    assert {"imubayes.procedures.rate_table", "imubayes.inference.run_fit"} <= found
+    assert len(found) <= MOST_MODULES
+    unused = ("procedures.free_tumble", "campaign.reduction", "inference.ensemble_sampling", "cli.loop")
+    assert not found & {f"imubayes.{name}" for name in unused}
+    assert "optimistix" not in executed(*FIT)
+    # It would be seen.
+    assert len(own("imubayes.campaign.reduction", "imubayes.inference.ensemble_sampling")) > MOST_MODULES
+
+
 @pytest.mark.compiled  # a process
 def test_the_page_of_the_loop_loads_no_figures():
     """It draws by itself, and its first points wait for what it loads."""
@@ -64,8 +86,7 @@ def test_the_page_of_the_loop_loads_no_figures():
 
 @pytest.mark.compiled  # processes
 def test_numbers_of_a_table_are_read_without_the_functions_of_arrow():
-    campaign = Path(__file__).parents[2] / "data" / "hidden-gyro"
-    code = f"import sys, imubayes.campaign as read; read.load_campaign({str(campaign)!r}); print(*sys.modules)"
+    code = f"import sys, imubayes.campaign as read; read.load_campaign({str(CAMPAIGN)!r}); print(*sys.modules)"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "pyarrow" in told.split()
     assert "pyarrow.compute" not in told.split()

@@ -10,10 +10,11 @@ import pytest
 
 import imubayes
 from imubayes.foundations.errors import InputError
+from imubayes.inference.chains import Settings
 from imubayes.inference.convergence import nested_r_hat
 from imubayes.inference.density_mode import NormalProposal, differentiable, normal_about_mode
 from imubayes.inference.density_proposal import agrees, finite_starts
-from imubayes.inference.ensemble_sampling import Settings, without_strays
+from imubayes.inference.ensemble_sampling import without_strays
 from imubayes.inference.laplace_proposal import weigh
 from imubayes.inference.user_function import CountedDensity, of_many_points
 

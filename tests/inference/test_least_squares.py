@@ -7,7 +7,8 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from imubayes.inference.least_squares import GramCholesky, covariance, minimise
+from imubayes.inference.least_squares import covariance
+from imubayes.inference.levenberg_marquardt import GramCholesky, minimise
 
 # One program instead of a hundred operations that are each compiled by themselves.
 solved = eqx.filter_jit(minimise)

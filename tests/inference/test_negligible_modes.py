@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.inference import run_fit
-from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.chains import Settings
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imubayes.inference.chains import Settings
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import EFFECTIVE_SIZE, NESTED_R_HAT, diagnose
-from imubayes.inference.ensemble_sampling import Settings, sample
+from imubayes.inference.ensemble_sampling import sample
 from imubayes.inference.laplace_proposal import (
     LARGEST_WEIGHT,
     PARETO_K,

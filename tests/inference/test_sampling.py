@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from imubayes.inference.chains import Settings
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import diagnose, nested_r_hat
-from imubayes.inference.ensemble_sampling import Settings, sample
+from imubayes.inference.ensemble_sampling import sample
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "posteriordb"
 NAMES = ("a", "b")

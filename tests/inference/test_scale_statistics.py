@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from imubayes.inference import scale_statistics
+from imubayes.inference import alike_groups, scale_statistics
 from imubayes.inference.laplace_marginal import ScaleMarginal, log_marginal
 from imubayes.inference.parameter_fit import Linearised, fit_at, linearise
 from imubayes.model.bind import Model, bind
@@ -34,16 +34,19 @@ def scales(model: Model, seed: int) -> np.ndarray:
     return 0.7 * np.random.default_rng(seed).normal(size=model.problem.size[1])
 
 
-@pytest.mark.parametrize("stored", [True, False], ids=["stored", "formed anew"])
+@pytest.mark.parametrize("way", ["by kinds of groups", "group by group", "formed anew"])
 @pytest.mark.parametrize("kind", NOISE)
-def test_value_and_gradient_are_those_of_the_traced_marginal(kind, stored, monkeypatch):
+def test_value_and_gradient_are_those_of_the_traced_marginal(kind, way, monkeypatch):
     model, about = made(kind)
-    if not stored:
+    if way == "formed anew":
         monkeypatch.setattr(scale_statistics, "_MOST_STORED", 0)
+    if way == "group by group":
+        monkeypatch.setattr(alike_groups, "_MOST_PAIRS", 0)
     some = masked(model.problem, np.arange(len(about.misfit)) % 7 == 3)
     own = ScaleMarginal(some, about)
     assert own.statistics is not None
-    assert (own.statistics.gram is not None) == stored
+    assert (own.statistics.gram is None) == (way == "formed anew")
+    assert (own.statistics.alike is not None) == (way == "by kinds of groups" and kind != "independent")
     of_jax = jax.jit(jax.value_and_grad(lambda h: log_marginal(some, about, h)))
     for seed in range(4):
         h = scales(model, seed)
@@ -78,6 +81,29 @@ def test_rows_of_different_variance_are_of_different_classes(monkeypatch):
     assert wrong.statistics is not None
     assert wrong.statistics.classes.count < right.statistics.classes.count
     assert abs(wrong.slope(h).value - right.slope(h).value) > 1.0
+
+
+def test_groups_of_different_shared_variance_are_of_different_kinds(monkeypatch):
+    """Group by group the precision is the same; with all groups in one kind, the planted fault, it is off."""
+    rng = np.random.default_rng(0)
+    cell_group, cell_class = np.repeat(np.arange(8), 2), np.tile([0, 1], 8)
+    along, misfit = rng.normal(size=(16, 3)), rng.normal(size=16)
+    size = np.tile([3.0, 5.0], 8)
+    shared = np.where(np.arange(8) < 5, 0.1, 40.0)[None]
+    weight = np.array([[0.7, 2.0]])
+
+    m = (weight[0, cell_class, None] * along).reshape(8, 2, 3).sum(axis=1)
+    drawn = shared[0] / (1 + shared[0] * (weight[0] @ size[:2]))
+    expected = np.einsum("g,gp,gq->pq", drawn, m, m)
+
+    def precision() -> np.ndarray:
+        found = alike_groups.alike_groups(cell_class, cell_group, shared, 2, (along, misfit, size))
+        assert found is not None
+        return (found.weights(weight, shared)[0] @ found.gram).reshape(3, 3)
+
+    np.testing.assert_allclose(precision(), expected, rtol=1e-12)
+    monkeypatch.setattr(alike_groups, "_DIGITS", -2)
+    assert np.abs(precision() - expected).max() > 0.1
 
 
 def test_correlated_rows_have_no_statistics():

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.inference.least_squares import covariance, minimise
+from imubayes.inference.least_squares import covariance
+from imubayes.inference.levenberg_marquardt import minimise
 
 READING = jnp.array([21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511])
 CORRECTION = jnp.array([-0.171, -0.169, -0.166, -0.159, -0.164, -0.165, -0.156, -0.157, -0.159, -0.161, -0.160])

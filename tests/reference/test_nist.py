@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from nist import FILE, digits, evaluate, read
 
-from imubayes.inference.least_squares import LeastSquares, covariance, minimise
+from imubayes.inference.least_squares import LeastSquares, covariance
+from imubayes.inference.levenberg_marquardt import minimise
 
 here = pytest.mark.skipif(not FILE.exists(), reason="the certified problems lie beside the repository, not in it")
 PROBLEMS = read() if FILE.exists() else {}

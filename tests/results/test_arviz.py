@@ -12,8 +12,8 @@ import pytest
 import xarray
 
 from imubayes.api import fit
+from imubayes.inference.chains import Chains, Settings
 from imubayes.inference.convergence import Convergence
-from imubayes.inference.ensemble_sampling import Chains, Settings
 from imubayes.results.posterior_groups import by_ensemble
 from imubayes.results.result import read_result
 

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
 from small_units import MODEL, change_readings, edit, make_units
 
 from imubayes.campaign import load_campaign
-from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.chains import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.model_file import read_model
 from imubayes_archive.unit_fits.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape

@@ -21,7 +21,7 @@ from binomial_share import interval
 
 from imubayes.adequacy.noise_tests import judged_noise
 from imubayes.campaign import load_campaign
-from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.chains import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model

@@ -20,8 +20,8 @@ import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.files import replacing
+from imubayes.inference.chains import Settings, walkers_for
 from imubayes.inference.convergence import END_BAR, INTERVAL, SD_BAR
-from imubayes.inference.ensemble_sampling import Settings, walkers_for
 from imubayes.inference.run_fit import data_hash, joint_fit, model_hash
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import norm
 
 from imubayes.campaign import load_campaign
-from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.chains import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model

@@ -13,7 +13,7 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.extensions import answer_to, extensions
-from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.chains import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import ModelSpec, read_model

@@ -13,8 +13,8 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.files import refuse_existing
 from imubayes.foundations.records import several
+from imubayes.inference.chains import Settings
 from imubayes.inference.checkpoint import steps_in
-from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.loop.cross_validation import objection

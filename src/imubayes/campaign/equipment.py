@@ -6,13 +6,12 @@ names must be unique.  A servo-table run records the table angle, which is there
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
-from imubayes.campaign.reduction import BenchSettings
 from imubayes.campaign.run_tables import known_columns
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import PRESETS, THERMOMETERS, Channel, Mounting, Run, Site, Table
@@ -86,6 +85,22 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
         )
         for entry in entries.values()
     }
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """What a campaign says about the columns of a table, and for the reduction of its raw logs.
+
+    Attributes
+    ----------
+    settling : time after each change of the stimulus that is left out at least, s.
+    rate_tolerance : difference up to which rates are equal, deg/s; None for the noise of the column.
+    zero_angle : reading of the angle column at the zero of the table, deg.
+    """
+
+    settling: float = 0.0
+    rate_tolerance: float | None = None
+    zero_angle: float = 0.0
 
 
 def build_benches(entries: Mapping[int, TableEntry]) -> dict[str, BenchSettings]:

@@ -6,14 +6,20 @@ These checks detect errors of units and assignment, factors of two and more; cal
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 
-from imubayes.campaign.reduction import BlockSurvey, clock_offset, turning_span
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
 from imubayes.procedures import PROCEDURES
+
+if TYPE_CHECKING:
+    from imubayes.campaign import reduction as reduce
+else:
+    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
 
 DEGREE = math.pi / 180
 TURN = 2 * math.pi
@@ -51,7 +57,7 @@ def check_gravity(site: Site, where: str) -> list[Finding]:
     ]  # fmt: skip
 
 
-def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+def check_rest(blocks: "reduce.BlockSurvey", run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
     """Check the raw log of a unit at rest: gyros that change by levels turn, whatever gravity says."""
     if not PROCEDURES[run.procedure].at_rest:
         return []
@@ -59,7 +65,7 @@ def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where
     for channel in channels:
         if channel.kind != "gyro" or channel.name not in blocks.mean:
             continue
-        span = turning_span((blocks.mean[channel.name] - channel.offset) / channel.scale_si)
+        span = reduce.turning_span((blocks.mean[channel.name] - channel.offset) / channel.scale_si)
         if span:
             turned[channel.name] = span
     if not turned:
@@ -76,7 +82,7 @@ def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where
     ]  # fmt: skip
 
 
-def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
+def check_log(blocks: "reduce.BlockSurvey", run: str, where: str) -> list[Finding]:
     """Check a surveyed raw log: an angle column that stays within 2π while the table turns is in radians."""
     if "table_angle_deg" not in blocks.mean or "table_rate_deg_s" not in blocks.mean or blocks.interval is None:
         return []
@@ -89,7 +95,7 @@ def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
 
 
 def check_clock(
-    blocks: BlockSurvey, run: str, channels: Sequence[Channel], where: str, momentary: bool
+    blocks: "reduce.BlockSurvey", run: str, channels: Sequence[Channel], where: str, momentary: bool
 ) -> list[Finding]:
     """Check that the outputs of a raw log answer the table at the time of its columns.
 
@@ -97,7 +103,7 @@ def check_clock(
     ----------
     momentary : whether rows are used while the rate changes; otherwise an offset only shortens the levels.
     """
-    found = clock_offset(blocks, [channel.name for channel in channels if channel.kind == "gyro"])
+    found = reduce.clock_offset(blocks, [channel.name for channel in channels if channel.kind == "gyro"])
     if found is None or blocks.interval is None:
         return []
     size, error = abs(found.seconds), momentary or abs(found.seconds) > LEVEL_SHARE * found.level

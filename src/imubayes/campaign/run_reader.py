@@ -6,18 +6,15 @@ a free tumble, whose rotations are observations as well.  Columns are in the uni
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 
-from imubayes.campaign import reduction as reduce
 from imubayes.campaign.axis_directions import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.equipment import BenchSettings
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_clock, check_log, check_rest, check_rows
-from imubayes.campaign.reduction.carried_rows import reduce_motion
-from imubayes.campaign.reduction.free_tumble import ReducedTumble, reduce_tumble
-from imubayes.campaign.reduction.pose_table import reduce_means
-from imubayes.campaign.reduction.static_poses import spans_space
-from imubayes.campaign.reduction.waved_poses import reduce_waved
 from imubayes.campaign.run_tables import (
     TEXT_COLUMNS,
     ColumnLayout,
@@ -33,6 +30,11 @@ from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Tab
 from imubayes.foundations.covariates import recorded
 from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Procedure, Reduction, procedure_named
+
+if TYPE_CHECKING:
+    from imubayes.campaign import reduction as reduce
+else:
+    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
 
 TURN = 2 * np.pi
 
@@ -179,7 +181,7 @@ class Equipment:
     channels: tuple[Channel, ...]
     tables: dict[str, Table]
     mountings: dict[str, Mounting]
-    benches: dict[str, reduce.BenchSettings]
+    benches: dict[str, BenchSettings]
     thermometers: dict[str, Thermometer]
 
 
@@ -206,10 +208,10 @@ class Loaded:
 @dataclass(frozen=True)
 class _Survey:
     rows: int
-    blocks: reduce.BlockSurvey | None
-    labelled: list[reduce.Span] | None
+    blocks: "reduce.BlockSurvey | None"
+    labelled: "list[reduce.Span] | None"
     findings: list[Finding]
-    limits: reduce.Limits
+    limits: "reduce.Limits"
 
 
 def load_run(file: TableFile, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
@@ -297,7 +299,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     if reduction.by_hand:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
-    bench = equipment.benches.get(entry.table or "", reduce.BenchSettings())
+    bench = equipment.benches.get(entry.table or "", BenchSettings())
     if source.layout.reduced:
         numbers = _from_zero(source.whole(), source, bench)
         attitude = _attitude(source, entry, equipment, range(survey.rows))
@@ -366,46 +368,19 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     return _Survey(monitor.rows, blocks, labelled, monitor.findings(), monitor.limits())
 
 
-def _segment_tracker(source: TableSource) -> reduce.SegmentTracker | None:
+def _segment_tracker(source: TableSource) -> "reduce.SegmentTracker | None":
     labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
     return reduce.SegmentTracker(labels) if labels else None
 
 
 def _load_tumble(
-    source: TableSource, entry: RunEntry, equipment: Equipment, limits: reduce.Limits
+    source: TableSource, entry: RunEntry, equipment: Equipment, limits: "reduce.Limits"
 ) -> tuple[Run, list[Finding]]:
-    where, gravity, channels = str(source.file), equipment.site.gravity, equipment.channels
-    if PROCEDURES[entry.procedure].reduction is Reduction.CARRIED:
-        if source.layout.reduced:
-            raise input_error(
-                f"run '{entry.name}' is given as means, and a unit in motion has none",
-                where, "a raw log of all channels with time_s", "give the raw log; its windows are found in it",
-            )  # fmt: skip
-        reduced = _reduce_motion(entry, source.whole(), equipment, where, limits)
-    elif source.layout.reduced:
-        reduced = reduce_means(source.whole(), channels, gravity, where)
-    else:
-        reduced = reduce_tumble(source.whole(), channels, gravity, entry.initial_rest_s, where, limits)
+    gravity, channels = equipment.site.gravity, equipment.channels
+    reduced = reduce.reduce_by_hand(source, entry, channels, gravity, limits)
     run = build_run(entry, reduced.numbers, channels, gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
     return run, findings
-
-
-def _reduce_motion(
-    entry: RunEntry, numbers: dict[str, np.ndarray], equipment: Equipment, where: str, limits: reduce.Limits
-) -> ReducedTumble:
-    """Return a run in motion reduced by what carries its attitude: three gyros, or nothing."""
-    channels, gravity = equipment.channels, equipment.site.gravity
-    if spans_space(channels, "gyro"):
-        return reduce_motion(numbers, channels, gravity, where, limits)
-    if not PROCEDURES[entry.procedure].without_gyros:
-        raise input_error(
-            f"run '{entry.name}' of {entry.procedure} needs gyros about three axes",
-            f"{where}, [[channel]] of campaign.toml",
-            "three gyros whose input axes are not coplanar: they carry the attitude from window to window",
-            'add the gyros; accelerometers alone are calibrated by procedure = "slow_motion" or "free_tumble"',
-        )
-    return reduce_waved(numbers, channels, gravity, where, limits)
 
 
 def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: RunEntry) -> list[Finding]:
@@ -437,16 +412,14 @@ def _empty(entry: RunEntry, where: str, what: str) -> Finding:
     return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
 
 
-def _from_zero(
-    numbers: dict[str, np.ndarray], source: TableSource, bench: reduce.BenchSettings
-) -> dict[str, np.ndarray]:
+def _from_zero(numbers: dict[str, np.ndarray], source: TableSource, bench: BenchSettings) -> dict[str, np.ndarray]:
     """Return the columns with the angle of the table counted from its zero."""
     if not bench.zero_angle or not source.layout.has(ANGLE_COLUMN):
         return numbers
     return {**numbers, ANGLE_COLUMN: numbers[ANGLE_COLUMN] - bench.zero_angle}
 
 
-def _unsettled(entry: RunEntry, where: str, levels: Sequence[reduce.UnsettledLevel]) -> Finding:
+def _unsettled(entry: RunEntry, where: str, levels: "Sequence[reduce.UnsettledLevel]") -> Finding:
     count, named = len(levels), [_level_text(level) for level in levels[:_MOST_LEVELS]]
     rest = f" and {count - len(named)} more" if count > len(named) else ""
     plural = "s" if count > 1 else ""
@@ -455,7 +428,7 @@ def _unsettled(entry: RunEntry, where: str, levels: Sequence[reduce.UnsettledLev
     return Finding("not_settled", "warning", entry.name, what, where, "steady outputs at each level", remedy)
 
 
-def _level_text(level: reduce.UnsettledLevel) -> str:
+def _level_text(level: "reduce.UnsettledLevel") -> str:
     at = f"raw row {level.row + 1}" + (f" ({level.time:g} s)" if level.time is not None else "")
     return f"{level.channel} from {at}" if level.channel else f"shorter than settling_s from {at}"
 

@@ -8,16 +8,22 @@ limit are biased as well.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 
 from imubayes.campaign.physical_checks import LEAST_SPREAD
-from imubayes.campaign.reduction import clipping_note
 from imubayes.campaign.run_reader import Equipment, Loaded
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Run
 from imubayes.foundations.errors import InputError
 from imubayes.procedures import PROCEDURES
+
+if TYPE_CHECKING:
+    from imubayes.campaign import reduction as reduce
+else:
+    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
 
 LEAST_ROWS = 5  # of a channel, to tell a limit
 EQUAL_OUTPUT = 1e-9  # of the range of the outputs
@@ -96,7 +102,7 @@ def _leave_out(loaded: Loaded, run: Run, place: int, channel: Channel, limits: S
     clipped = np.any([np.abs(observed - limit) <= margin for limit in limits], axis=0)
     if not clipped.any():
         return
-    what = clipping_note(channel.name, limits, int(clipped.sum()), run.rows, "means")
+    what = reduce.clipping_note(channel.name, limits, int(clipped.sum()), run.rows, "means")
     finding = Finding(
         "saturated_channel", "warning", run.name, f"channel {what}", f"{file}, column '{channel.name}'",
         "outputs within the range of the converter", "test within the range, or leave the cells empty",

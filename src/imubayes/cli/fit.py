@@ -47,7 +47,7 @@ def classical(
         trusting(result, trust)
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical, of_prediction
-        from imubayes.display.fit_report import classical_report
+        from imubayes.display.classical_report import classical_report
         from imubayes.display.loop.kept_causes import causes_of
         from imubayes.procedures import classical as evaluate
         from imubayes.results.history_tree import refuse_other_data

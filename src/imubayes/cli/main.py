@@ -16,10 +16,6 @@ from typing import Any, NoReturn
 import cyclopts
 
 from imubayes import __version__
-from imubayes.cli.campaign import check, effects, schema, simulate
-from imubayes.cli.examples import demo, example
-from imubayes.cli.fit import classical, compare, fit, predict
-from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
 from imubayes.cli.registration import GROUPS, Command
 from imubayes.cli.session import numbers_apart
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
@@ -30,20 +26,24 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Characters that steer a terminal: they come from names in files, and are shown as numbers.
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
-_LOOP = (demo, fit, compare, predict, diagnose, add, remove, refit, history)
 _SAMPLES_KEPT = "the samples so far are kept, --resume continues"
 _COMMANDS = (
-    *(
-        Command(call, "The loop", place, interrupted=_SAMPLES_KEPT if call is fit else "")
-        for place, call in enumerate(_LOOP)
-    ),
-    Command(plant, "The loop", 10),
-    Command(example, "Data", 0),
-    Command(check, "Data", 1),
-    Command(classical, "Data", 3),
-    Command(effects, "Data", 5),
-    Command(simulate, "Data", 6),
-    Command(schema, "Data", 7),
+    Command("imubayes.cli.examples:demo", "The loop", 0),
+    Command("imubayes.cli.fit:fit", "The loop", 1, interrupted=_SAMPLES_KEPT),
+    Command("imubayes.cli.fit:compare", "The loop", 2),
+    Command("imubayes.cli.fit:predict", "The loop", 3),
+    Command("imubayes.cli.loop:diagnose", "The loop", 4),
+    Command("imubayes.cli.loop:add", "The loop", 5),
+    Command("imubayes.cli.loop:remove", "The loop", 6),
+    Command("imubayes.cli.loop:refit", "The loop", 7),
+    Command("imubayes.cli.loop:history", "The loop", 8),
+    Command("imubayes.cli.loop:plant", "The loop", 10),
+    Command("imubayes.cli.examples:example", "Data", 0),
+    Command("imubayes.cli.campaign:check", "Data", 1),
+    Command("imubayes.cli.fit:classical", "Data", 3),
+    Command("imubayes.cli.campaign:effects", "Data", 5),
+    Command("imubayes.cli.campaign:simulate", "Data", 6),
+    Command("imubayes.cli.campaign:schema", "Data", 7),
 )
 """Commands of the kernel; those of the packages beside it have places between them."""
 
@@ -58,10 +58,10 @@ app = cyclopts.App(
 )
 _ordered = {name: cyclopts.Group(name, sort_key=place) for place, name in enumerate(GROUPS)}
 _beside = chain.from_iterable(entry.load() for entry in extensions("commands").values())
-_interrupted: dict[str, str] = {}
+_registered: dict[str, Command] = {}
 for _command in chain(_COMMANDS, _beside):
     _command.add_to(app, _ordered[_command.group])
-    _interrupted[_command.word] = _command.interrupted
+    _registered[_command.word] = _command
 
 app.register_install_completion_command()
 
@@ -96,6 +96,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with _telling_what_is_not_kept():
+            _import_shown(words)
             status = app(numbers_apart(words), exit_on_error=False, print_error=False)
             sys.stdout.flush()
     except InputError as error:
@@ -103,7 +104,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
-        kept = _interrupted.get(words[0] if words else "", "")
+        kept = _registered[words[0]].interrupted if words and words[0] in _registered else ""
         print(f"interrupted{'; ' if kept else ''}{kept}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
@@ -113,6 +114,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
             raise
         return _refuse(_issue_of(error))
     return status if isinstance(status, int) else DONE
+
+
+def _import_shown(words: Sequence[str]) -> None:
+    """Import the commands whose help `imubayes --help` takes from their functions, unless a command runs."""
+    if not words or words[0] not in _registered:
+        for word, command in _registered.items():
+            if not command.help:
+                app[word]  # resolved by the library, which leaves out the help of others
 
 
 @contextmanager

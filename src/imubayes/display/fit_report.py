@@ -1,4 +1,4 @@
-"""A fit and its classical evaluation as reports: for the terminal, and as self-contained HTML for a notebook.
+"""A fit as a report: for the terminal, and as self-contained HTML for a notebook.
 
 The HTML has no scripts, links or external styles; all text is escaped.
 """
@@ -6,19 +6,13 @@ The HTML has no scripts, links or external styles; all text is escaped.
 from imubayes.display import fit_cautions as cautions
 from imubayes.display import fit_quality_tables as quality
 from imubayes.display import quantity_tables as quantities
-from imubayes.display.classical_comparison import (
-    ClassicalComparison,
-    classical_sheet,
-    decision_sheet,
-    undetermined_sheet,
-)
 from imubayes.display.layout import Report, Sheet, render
-from imubayes.display.loop.history import provenance_line
 from imubayes.display.numbers_and_labels import listed, percent
 from imubayes.foundations.wording import counted
-from imubayes.results.summary import Summary
+from imubayes.results.summary import FitProvenance, Summary
 
 _FEW_COMBINATIONS = 8
+_MOST_DIGITS = 12  # of a hash
 
 
 def summary_report(summary: Summary, verbose: bool = False) -> Report:
@@ -103,13 +97,6 @@ def _outcome(summary: Summary) -> str:
     return f"Converged. The data determined {share}."
 
 
-def classical_report(comparison: ClassicalComparison) -> Report:
-    """Return classical estimates, and what they leave undetermined."""
-    sheets = (classical_sheet(comparison.estimates), decision_sheet(comparison), undetermined_sheet(comparison))
-    none = "No classical evaluation applies to these runs."
-    return Report((), sheets, () if comparison.estimates else (none,))
-
-
 def summary_html(summary: Summary, alarm: bool = True) -> str:
     """Return the whole result: convergence and calibration; folded, every table of the fit.
 
@@ -136,3 +123,22 @@ def summary_html(summary: Summary, alarm: bool = True) -> str:
         folded=folded if shown else folded[1:],
         origin=provenance_line(summary.provenance),
     )
+
+
+def provenance_line(found: FitProvenance | None) -> str:
+    """Return serial, dates, hashes, seed and the version of imubayes; empty for a result of an earlier version."""
+    if found is None:
+        return ""
+    first, last = found.first_run, found.last_run
+    days = list(dict.fromkeys(day[:10] for day in (first, last) if day is not None))
+    versions = {each.package: each.version for each in found.software}
+    parts = (
+        f"unit {found.serial}" if found.serial else "unit without serial number",
+        f"recorded {' to '.join(days)}" if days else "",
+        f"fitted {found.fitted[:16].replace('T', ' ')} UTC",
+        f"data SHA-256 {found.data_sha256[:_MOST_DIGITS]}…",
+        f"model SHA-256 {found.model_sha256[:_MOST_DIGITS]}…",
+        f"seed {found.seed}",
+        f"imubayes {versions.get('imubayes', '?')}, JAX {versions.get('jax', '?')}",
+    )
+    return "; ".join(part for part in parts if part)

@@ -177,6 +177,16 @@ def solve_each(
     return found
 
 
+def inverse_lower(factors: Float[Array, "n P P"]) -> Float[Array, "n P P"]:
+    """Return L⁻¹ of each of n lower triangular factors of NumPy; NaN where one is singular."""
+    found, invert = np.zeros_like(factors), scipy.linalg.lapack.dtrtri
+    if found.size:
+        for place, factor in enumerate(factors):
+            inverse, status = invert(factor.T, lower=0)
+            found[place] = inverse.T if status == 0 else np.nan
+    return found
+
+
 def cho_solve(factor: Float[Array, "P P"], values: Float[Array, "P *columns"]) -> Float[Array, "P *columns"]:
     """Return (L Lᵀ)⁻¹ · values for a lower Cholesky factor L."""
     return solve_lower(factor, solve_lower(factor, values), transposed=True)

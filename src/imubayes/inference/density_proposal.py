@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.progress import Tell
+from imubayes.inference.chains import Settings
 from imubayes.inference.convergence import STAYS, WORST_PARETO_K, normal_length
 from imubayes.inference.density_mode import NormalProposal
-from imubayes.inference.ensemble_sampling import Settings, short_chain
+from imubayes.inference.ensemble_sampling import short_chain
 from imubayes.inference.laplace_proposal import LARGEST_WEIGHT, Proposal, WeighedProposal, weigh, weigh_tail
 from imubayes.inference.mixture_proposal import MixtureProposal, about_normal, adapted, fitted_to
 from imubayes.inference.user_function import CountedDensity

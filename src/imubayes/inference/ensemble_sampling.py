@@ -17,13 +17,14 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import lazy_loader
 import numpy as np
 
 from imubayes.foundations.progress import duration, silent
+from imubayes.inference.chains import Chains, Settings
 from imubayes.inference.checkpoint import Checkpoint, append
 from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below, normal_length
 from imubayes.inference.gradient_moves import GradientMove
@@ -44,7 +45,6 @@ _OTHERS_SHARE_MIXTURE = 0.3
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
 _HARD_ACCEPTANCE = 0.5
-_FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5
 # So many draws of all ensembles together are taken even where fewer would do, and so many steps.
 _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
@@ -58,49 +58,6 @@ _LONG, _LONG_BURN_IN = 60, 15
 _WATCHED, _SETTLING = 15, 150
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
-# What is kept of them: 80 MB, but never fewer draws than the second.
-_MOST_STORED, _LEAST_KEPT = 10_000_000, 20_000
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of the sampler; `walkers` = 0 means the smallest number that emcee's moves allow.
-
-    Each ensemble takes at least `least_steps` after the burn-in; `most_steps` = 0 means as many as memory allows.
-    Longer chains are thinned to `most_kept` draws in all, fewer if there are many parameters; the checkpoint has all
-    steps.
-
-    Examples
-    --------
-    >>> import imubayes
-    >>> imubayes.Settings(ensembles=6, least_steps=2000, seed=3)
-    Settings(ensembles=6, walkers=0, seed=3, least_steps=2000, most_steps=0, most_kept=100000)
-    """
-
-    ensembles: int = 4
-    walkers: int = 0
-    seed: int = 0
-    least_steps: int = 0
-    most_steps: int = 0
-    most_kept: int = 100_000
-
-
-@dataclass(frozen=True)
-class Chains:
-    """What was sampled, burn-in removed.
-
-    Attributes
-    ----------
-    points : shape (ensembles, steps, walkers, D), in z.
-    log_density : shape (ensembles, steps, walkers).
-    acceptance : share of proposals taken, all moves together.
-    diagnosis : convergence.
-    """
-
-    points: np.ndarray
-    log_density: np.ndarray
-    acceptance: float
-    diagnosis: Convergence
 
 
 @runtime_checkable
@@ -114,18 +71,6 @@ class Budget(Protocol):
     def left(self) -> int:
         """Evaluations that are left."""
         ...
-
-
-def thinned(chains: Chains, most: int) -> Chains:
-    """Return chains of a size that is practical to store, at most about `most` draws: every nth step, all walkers."""
-    each = math.ceil(chains.log_density.size / min(most, max(_LEAST_KEPT, _MOST_STORED // chains.points.shape[-1])))
-    return replace(chains, points=chains.points[:, ::each], log_density=chains.log_density[:, ::each])
-
-
-def walkers_for(dimensions: int, settings: Settings) -> int:
-    """Return the number of walkers of an ensemble: even, and at least twice the dimensions plus two."""
-    fewest = max(_FEWEST_WALKERS, 2 * dimensions + 2)
-    return max(settings.walkers + settings.walkers % 2, fewest)
 
 
 def sample(

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.inference.ensemble_sampling import Chains
+from imubayes.inference.chains import Chains
 from imubayes.inference.identifiability import ImplausibleEstimate, UnexplainedOutput
 from imubayes.inference.nested_laplace import NestedLaplace
 from imubayes.inference.posterior_mode import Mode

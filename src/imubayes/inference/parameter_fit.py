@@ -6,19 +6,27 @@ model.
 """
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lazy_loader
 import numpy as np
 
 from imubayes.compiled.in_numpy import in_numpy
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_host
-from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
+from imubayes.inference.least_squares import LeastSquares
 from imubayes.model.likelihood import least_squares_form, pseudo_values
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
+
+if TYPE_CHECKING:
+    from imubayes.inference import levenberg_marquardt
+else:
+    # Takes long to import, and a fit whose program is kept does not trace it.
+    levenberg_marquardt = lazy_loader.load("imubayes.inference.levenberg_marquardt", suppress_warning=True)
 
 _STEPS = 30
 _TOLERANCE = 1e-3
@@ -72,7 +80,10 @@ def fit_parameters(
         value, about = residual(z)
         return _UNDAMPED * value, about
 
-    return minimise(undamped, z, tolerance=tolerance, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
+    solver = levenberg_marquardt.GramCholesky()
+    return levenberg_marquardt.minimise(
+        undamped, z, tolerance=tolerance, most_steps=_STEPS, linear_solver=solver, has_aux=True
+    )
 
 
 _fit_parameters = kept(fit_parameters)

@@ -6,18 +6,20 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lazy_loader
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import counted
+from imubayes.inference.chains import Chains, Settings, thinned, walkers_for
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.conditional_precision import conditional_precision
-from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh, weigh_tail
 from imubayes.inference.nested_laplace import NestedLaplace, curved_directions, nested_laplace
@@ -30,6 +32,11 @@ from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem, compile_predictions
+
+if TYPE_CHECKING:
+    from imubayes.inference import ensemble_sampling
+else:
+    ensemble_sampling = lazy_loader.load("imubayes.inference.ensemble_sampling", suppress_warning=True)
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
@@ -154,7 +161,7 @@ def _sampled(
     weighed = weigh_tail(density, proposal, sampling.ensembles, count, sampling.seed)
     others = [end for end in others if not _negligible(model.problem, end, mode)]
     starts = _starts(proposal, weighed, mode, others, file, sampling)
-    return sample(density, starts, names, sampling, file, weighed, tell)
+    return ensemble_sampling.sample(density, starts, names, sampling, file, weighed, tell)
 
 
 def _require_double_precision() -> None:

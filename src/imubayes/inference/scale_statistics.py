@@ -13,7 +13,7 @@ That holds where noise is normal and rows are independent but for the offset of 
 None elsewhere, and the marginal is differentiated automatically.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,7 +21,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.foundations.arrays import Scalars, cho_solve, cholesky, solve_each
+from imubayes.foundations.arrays import Scalars, cholesky, inverse_lower, solve_each
+from imubayes.inference.alike_groups import AlikeGroups, alike_groups, one_hot
 from imubayes.model.likelihood import has_heavy_tails
 from imubayes.model.noise_covariance import rows_correlate
 from imubayes.model.problem import (
@@ -73,6 +74,7 @@ class RowClasses:
     cell_class, cell_group : shape (C,), class and place among `groups` of each cell; only of runs that share noise.
     cell_of : shape (E,), cell of each row; C where it has none.
     groups : shape (S,), runs and channels that share noise.
+    probed : shape (n, S), the variance that the rows of each group share, at the points by which classes are told.
     """
 
     class_of: np.ndarray
@@ -83,6 +85,7 @@ class RowClasses:
     cell_group: np.ndarray
     cell_of: np.ndarray
     groups: np.ndarray
+    probed: np.ndarray
 
     @property
     def count(self) -> int:
@@ -137,10 +140,11 @@ def row_classes(problem: Problem) -> RowClasses | None:
     cell_of = np.full(len(class_of), cells.shape[1])
     cell_of[in_cell] = cell.reshape(-1)
     rows = there[first]
-    return RowClasses(
+    classes = RowClasses(
         class_of, tuple(_at(layer, rows) for layer in own), jax.tree.map(lambda leaf: leaf[rows], observations.entry),
-        tuple(_at(layer, groups) for layer in shared), cells[1], cells[0], cell_of, groups,
+        tuple(_at(layer, groups) for layer in shared), cells[1], cells[0], cell_of, groups, np.zeros((0, len(groups))),
     )  # fmt: skip
+    return replace(classes, probed=classes.shared_variances(values(probes)))
 
 
 def _at(layer: NoiseLayer, rows: np.ndarray) -> NoiseLayer:
@@ -160,6 +164,7 @@ class ScaleStatistics:
     gram : shape (K, P²), sums of products of rows of the Jacobian; None where it is not stored.
     pulled : shape (K, P), JᵀE of each class; square, rows : shape (K,), sums of squared misfits, and number of rows.
     along, misfit, size : shapes (C, P), (C,), (C,), sums over each cell of the Jacobian, of the misfit, and of rows.
+    alike : what the rows of groups share, by kinds of groups; None if it is summed group by group.
     """
 
     problem: Problem
@@ -174,6 +179,7 @@ class ScaleStatistics:
     along: np.ndarray
     misfit: np.ndarray
     size: np.ndarray
+    alike: AlikeGroups | None
 
     def normal(self, h: np.ndarray) -> NormalDensity:
         """Return the density of θ at noise scales (…, H)."""
@@ -200,7 +206,8 @@ class ScaleStatistics:
         prior = widths**-2
         known = self._known(values, prior)
         factor = cholesky(known.precision)
-        inverse = np.stack([cho_solve(each, np.eye(len(each))) for each in factor])
+        half = inverse_lower(factor)
+        inverse = np.swapaxes(half, 1, 2) @ half
         step = (inverse @ known.gradient[..., None])[..., 0]
         value = self._value(h, known, factor, np.sum(known.gradient * step, axis=1))
 
@@ -208,21 +215,32 @@ class ScaleStatistics:
         of_weight = (
             -0.5 * (self.square + self._moments(inverse, step)) + step @ self.pulled.T + 0.5 * self.rows / weight
         )
+        in_common, of_shared = self._of_common_noise(weight, shared, inverse, step)
+        of_weight = of_weight + in_common
+        of_prior = 0.5 * (1 / prior - (self.z + step) ** 2 - np.diagonal(inverse, axis1=1, axis2=2))
+        by_values = self._by_values(values, -(weight**2) * of_weight, of_shared, of_prior * -2 * widths**-3)
+        return value, by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
+
+    def _of_common_noise(
+        self, weight: np.ndarray, shared: np.ndarray, inverse: np.ndarray, step: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of what `_taken` takes, by 1/v of classes, (n, K), and by shared variances, (n, S)."""
+        if self.alike is not None:
+            moments = _moment(inverse, step).reshape(len(step), -1) @ self.alike.gram.T
+            of_pairs = 0.5 * (self.alike.square + moments) - step @ self.alike.pulled.T
+            return self.alike.slopes(weight, shared, of_pairs)
         along, misfit, size = self._of_groups(weight)
         drawn, left = shared / (1 + shared * size), misfit - (along @ step[..., None])[..., 0]
         spread = along @ inverse
         mean_square = left**2 + np.sum(spread * along, axis=-1)
-        group, cells = classes.cell_group, classes.cell_class
+        group, cells = self.classes.cell_group, self.classes.cell_class
         of_cell = (
             drawn[:, group]
             * (left[:, group] * (self.misfit - step @ self.along.T) + np.sum(self.along * spread[:, group], axis=-1))
             - 0.5 * self.size * (drawn**2 * mean_square + drawn)[:, group]
         )
-        of_weight = of_weight + of_cell @ _one_hot(cells, classes.count)
         of_shared = 0.5 * (mean_square / (1 + shared * size) ** 2 - size / (1 + shared * size))
-        of_prior = 0.5 * (1 / prior - (self.z + step) ** 2 - np.diagonal(inverse, axis1=1, axis2=2))
-        by_values = self._by_values(values, -(weight**2) * of_weight, of_shared, of_prior * -2 * widths**-3)
-        return value, by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
+        return of_cell @ one_hot(cells, self.classes.count), of_shared
 
     def _value(self, h: np.ndarray, known: NormalDensity, factor: np.ndarray, explained: np.ndarray) -> np.ndarray:
         """Return log p(y, h), (n,), from bᵀΛ⁻¹b, (n,), which θ explains of the quadratic form at ẑ."""
@@ -233,18 +251,30 @@ class ScaleStatistics:
 
     def _known(self, values: np.ndarray, prior: np.ndarray) -> NormalDensity:
         weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
+        taken = self._taken(weight, shared)
+        precision = self._weighted(weight)
+        precision -= taken.precision
+        count = np.arange(len(self.z))
+        precision[..., count, count] += prior
+        pulled = weight @ self.pulled - taken.gradient - prior * self.z
+        square = weight @ self.square - taken.square + (prior * self.z**2).sum(-1)
+        log_determinant = taken.log_determinant - np.log(weight) @ self.rows - np.log(prior).sum(-1)
+        return NormalDensity(precision, pulled, square, log_determinant)
+
+    def _taken(self, weight: np.ndarray, shared: np.ndarray) -> NormalDensity:
+        """Return what rows with noise in common take from the density of independent ones."""
+        if self.alike is not None:
+            pairs, log_gain = self.alike.weights(weight, shared)
+            precision = (pairs @ self.alike.gram).reshape(*weight.shape[:-1], len(self.z), len(self.z))
+            return NormalDensity(precision, pairs @ self.alike.pulled, pairs @ self.alike.square, log_gain)
         along, misfit, size = self._of_groups(weight)
         gain = 1 + shared * size
         drawn = shared / gain
         # Of one array with itself BLAS forms half.
         root = np.sqrt(drawn)[..., None] * along
-        precision = self._weighted(weight) - np.swapaxes(root, -1, -2) @ root
-        count = np.arange(len(self.z))
-        precision[..., count, count] += prior
-        pulled = weight @ self.pulled - ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
-        square = weight @ self.square - (drawn * misfit**2).sum(-1) + (prior * self.z**2).sum(-1)
-        log_determinant = -np.log(weight) @ self.rows + np.log(gain).sum(-1) - np.log(prior).sum(-1)
-        return NormalDensity(precision, pulled - prior * self.z, square, log_determinant)
+        gradient = ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
+        square, log_gain = (drawn * misfit**2).sum(-1), np.log(gain).sum(-1)
+        return NormalDensity(np.swapaxes(root, -1, -2) @ root, gradient, square, log_gain)
 
     def _of_groups(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the weighted sums of the Jacobian (…, S, P), the misfit (…, S), and the information (…, S)."""
@@ -271,7 +301,7 @@ class ScaleStatistics:
 
     def _moments(self, inverse: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Return the trace of A with Λ⁻¹ + δδᵀ of each class, (n, K)."""
-        moment = inverse + step[:, :, None] * step[:, None, :]
+        moment = _moment(inverse, step)
         if self.gram is not None:
             return moment.reshape(len(step), -1) @ self.gram.T
         each = np.sum((self.jacobian @ moment) * self.jacobian, axis=-1)
@@ -283,13 +313,13 @@ class ScaleStatistics:
         found, count = np.zeros(values.shape), values.shape[1]
         for layer in classes.layers:
             for place, slope in slopes_of(layer, values, variance_of, classes.entry):
-                found += (slope * of_own) @ _one_hot(place, count)
+                found += (slope * of_own) @ one_hot(place, count)
         for layer in classes.shared:
             for place, slope in slopes_of(layer, values, shared_variance_of):
-                found += (slope * of_shared) @ _one_hot(place, count)
+                found += (slope * of_shared) @ one_hot(place, count)
         learnt = problem.spread_of < count
         if learnt.any():
-            found += (of_widths / problem.spread_unit)[:, learnt] @ _one_hot(problem.spread_of[learnt], count)
+            found += (of_widths / problem.spread_unit)[:, learnt] @ one_hot(problem.spread_of[learnt], count)
         return found
 
     def _prior_pull(self, h: np.ndarray) -> np.ndarray:
@@ -297,9 +327,9 @@ class ScaleStatistics:
         return h if correlation is None else correlation.pull(h.T).T
 
 
-def _one_hot(places: np.ndarray, count: int) -> np.ndarray:
-    """Return the matrix (n, count) that sums what belongs to n places."""
-    return (np.asarray(places)[:, None] == np.arange(count)).astype(float)
+def _moment(inverse: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return Λ⁻¹ + δδᵀ, (n, P, P)."""
+    return inverse + step[:, :, None] * step[:, None, :]
 
 
 def _blocks(h: np.ndarray) -> list[np.ndarray]:
@@ -329,7 +359,11 @@ def scale_statistics(
     cells, cell = len(classes.cell_class), classes.cell_of[order]
     along = np.zeros((cells + 1, len(z)))
     np.add.at(along, cell, rows)
-    sums = (np.bincount(cell, of_rows, cells + 1)[:cells] for of_rows in (e, np.ones(len(e))))
+    of_misfit, of_rows = (np.bincount(cell, each, cells + 1)[:cells] for each in (e, np.ones(len(e))))
+    sums, alike = (along[:cells], of_misfit, of_rows), None
+    if stored:
+        alike = alike_groups(classes.cell_class, classes.cell_group, classes.probed, classes.count, sums)
+    size = np.diff(begin).astype(float)
     return ScaleStatistics(
-        problem, classes, z, rows, of, gram, pulled, square, np.diff(begin).astype(float), along[:cells], *sums
+        problem, classes, z, rows, of, gram, pulled, square, size, along[:cells], of_misfit, of_rows, alike
     )

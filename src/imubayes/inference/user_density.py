@@ -23,11 +23,11 @@ from arviz_base import from_dict
 
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell, silent
+from imubayes.inference.chains import Chains, Settings, walkers_for
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import BLIND
 from imubayes.inference.density_mode import NormalProposal, differentiable, normal_about_mode
 from imubayes.inference.density_proposal import ProposalSearch, finite_starts
-from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
 from imubayes.inference.gradient_moves import GradientMove, Single, gradient_move
 from imubayes.inference.laplace_proposal import WeighedProposal

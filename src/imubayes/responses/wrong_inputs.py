@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
-import equinox as eqx
 import numpy as np
 
 from imubayes.compiled.in_numpy import in_numpy
@@ -207,7 +206,7 @@ def problem_of(model: Model, campaign: Campaign) -> Problem | None:
     arrays, value = nodes_of(campaign, nodes), np.asarray(model.problem.observations.value)
     if any(run.observed is not known.observed for run, known in zip(campaign.runs, before.runs, strict=True)):
         value = value + (join_entries(campaign).value - join_entries(before).value)
-    return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
+    return replace(model.problem, nodes=arrays, observations=replace(model.problem.observations, value=value))
 
 
 @in_numpy

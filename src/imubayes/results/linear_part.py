@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.foundations.arrays import cholesky, on_host, solve_lower
+from imubayes.foundations.arrays import cholesky, inverse_lower, on_host
 from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
@@ -171,8 +171,10 @@ def linear_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h:
     """Return the moments of linear quantities with gradients (Q, P), stretched, given noise scales h, (n, H)."""
     variances, means = [], []
     for given in part.in_blocks(problem, h):
-        for factor, slope in zip(cholesky(given.precision), given.slope, strict=True):
-            half = solve_lower(factor, np.column_stack([gradients.T, slope]))
-            variances.append(np.sum(half[:, :-1] ** 2, axis=0))
-            means.append(half[:, -1] @ half[:, :-1])
-    return LinearMoments(np.array(variances), np.array(means))
+        # An inverse and a product of matrices take half the time of solving for each quantity.
+        half = inverse_lower(cholesky(given.precision))
+        of_quantities = half @ gradients.T
+        of_mean = half @ given.slope[..., None]
+        variances.append(np.einsum("npq,npq->nq", of_quantities, of_quantities))
+        means.append(np.einsum("npo,npq->nq", of_mean, of_quantities))
+    return LinearMoments(np.concatenate(variances), np.concatenate(means))

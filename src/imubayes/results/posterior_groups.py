@@ -23,7 +23,7 @@ from imubayes.foundations.arrays import Array, Float, in_batches
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.units import to_si
-from imubayes.inference.ensemble_sampling import Chains
+from imubayes.inference.chains import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
 from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.model.bind import Model

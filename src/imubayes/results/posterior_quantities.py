@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.inference.chains import Settings
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.determined_combinations import combined
-from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit, redrawn
 from imubayes.model.bind import Model

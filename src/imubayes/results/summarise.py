@@ -21,6 +21,7 @@ from imubayes.adequacy.weighed_records import doubted_runs
 from imubayes.foundations.quantity_names import DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.records import finite
 from imubayes.inference import identifiability
+from imubayes.inference.chains import Chains
 from imubayes.inference.determined_combinations import (
     DeterminedCombination,
     Draws,
@@ -28,7 +29,6 @@ from imubayes.inference.determined_combinations import (
     determined_combinations,
     members,
 )
-from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision

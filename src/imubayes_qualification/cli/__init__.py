@@ -1,11 +1,12 @@
 """The commands of this package: what is done with a fitted unit, and the answers that are known."""
 
 from imubayes.cli.registration import Command
-from imubayes_qualification.cli.calibrated_unit import apply, carrier, export, mission, report
-from imubayes_qualification.cli.selftest import selftest
 
 COMMANDS = (
-    *(Command(call, "Results", place) for place, call in enumerate((report, apply, export, mission))),
-    Command(carrier, "Data", 4),
-    Command(selftest, "Data", 8),
+    Command("imubayes_qualification.cli.calibrated_unit:report", "Results", 0),
+    Command("imubayes_qualification.cli.calibrated_unit:apply", "Results", 1),
+    Command("imubayes_qualification.cli.calibrated_unit:export", "Results", 2),
+    Command("imubayes_qualification.cli.calibrated_unit:mission", "Results", 3),
+    Command("imubayes_qualification.cli.calibrated_unit:carrier", "Data", 4),
+    Command("imubayes_qualification.cli.selftest:selftest", "Data", 8),
 )

@@ -1,10 +1,8 @@
 """The commands of this package: recordings that become campaigns, and the noise of static records."""
 
 from imubayes.cli.registration import Command
-from imubayes_recordings.cli.noise import noise
 
-# The options of the first three are those of a dataclass that takes long to import: each is imported when it runs, and
-# its help stands here.
+# The options of the first three are those of a dataclass that takes long to import, and their help stands here.
 COMMANDS = (
     Command(
         "imubayes_recordings.cli.convert:new", "Data", -2, "new",
@@ -24,5 +22,5 @@ COMMANDS = (
         "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
         "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
     ),
-    Command(noise, "Data", 2),
+    Command("imubayes_recordings.cli.noise:noise", "Data", 2),
 )  # fmt: skip

@@ -6,16 +6,18 @@ column (`log_reduction`).  The second pass averages each span exactly (`span_mea
 left out.  Memory does not grow with the length of the log.
 """
 
+from imubayes.campaign.equipment import BenchSettings
+from imubayes.campaign.reduction.by_hand import reduce_by_hand
 from imubayes.campaign.reduction.clock_offset import clock_offset
-from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
+from imubayes.campaign.reduction.constant_spans import Span, UnsettledLevel, constant_spans
 from imubayes.campaign.reduction.log_reduction import Limits, Rows, SegmentTracker, clipping_note, reduce_log
 from imubayes.campaign.reduction.log_survey import (
     BlockBuilder,
     BlockSurvey,
     refuse_impossible_rate,
-    sampling_interval,
     turning_span,
 )
+from imubayes.campaign.stream_checks import sampling_interval
 
 __all__ = [
     "BenchSettings",
@@ -29,6 +31,7 @@ __all__ = [
     "clipping_note",
     "clock_offset",
     "constant_spans",
+    "reduce_by_hand",
     "reduce_log",
     "refuse_impossible_rate",
     "sampling_interval",

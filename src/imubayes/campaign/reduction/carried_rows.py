@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction import Limits
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.axis_senses import axis_changes, best_change, finding_of
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, levelling, wrong_acceleration_unit
+from imubayes.campaign.reduction.log_reduction import Limits
 from imubayes.campaign.reduction.motion_windows import (
     Division,
     about_one_axis,

@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from imubayes.campaign.equipment import BenchSettings
 from imubayes.campaign.reduction.log_survey import BlockSurvey, Steady, steady_part
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.numerics import group_means
@@ -90,22 +91,6 @@ LEAST_PASSING_ROWS = 4  # for a mean rate and an acceleration from the angle
 SMOOTHING_BLOCKS = 51
 RECORD_SECONDS = 60.0
 RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enough for its covariance
-
-
-@dataclass(frozen=True)
-class BenchSettings:
-    """What a campaign says about the columns of a table, and for the reduction of its raw logs.
-
-    Attributes
-    ----------
-    settling : time after each change of the stimulus that is left out at least, s.
-    rate_tolerance : difference up to which rates are equal, deg/s; None for the noise of the column.
-    zero_angle : reading of the angle column at the zero of the table, deg.
-    """
-
-    settling: float = 0.0
-    rate_tolerance: float | None = None
-    zero_angle: float = 0.0
 
 
 @dataclass(frozen=True)

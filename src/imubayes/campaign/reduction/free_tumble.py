@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.axis_senses import ALLOWED, AxisChange, axis_changes, best_change, finding_of
+from imubayes.campaign.reduction.log_reduction import Limits, clipping_note
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble

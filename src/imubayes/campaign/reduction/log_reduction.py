@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.campaign.equipment import BenchSettings
 from imubayes.campaign.reduction.coarse_thermometer import CoarseTemperature, coarse_temperatures
 from imubayes.campaign.reduction.constant_spans import (
     BIN_KELVIN,
@@ -18,7 +19,6 @@ from imubayes.campaign.reduction.constant_spans import (
     FOLLOW_DEGREES,
     FOLLOW_SECONDS,
     REST_RATE,
-    BenchSettings,
     Detected,
     Dropped,
     Span,

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch
+from imubayes.campaign.stream_checks import sampling_interval
 from imubayes.foundations.errors import input_error
 
 BLOCK_SECONDS = 0.1
@@ -147,13 +148,6 @@ def refuse_impossible_rate(interval: float | None, where: str) -> None:
     remedy = "correct the times" if factor is None else f"multiply the column by {factor:g}: {rate / factor:.4g} Hz"
     what = f"the sampling rate is {rate:.4g} Hz" if interval > 0 else "most times do not increase"
     raise input_error(what, f"{where}, column 'time_s'", f"seconds: at most {MOST_HZ:g} Hz", remedy)
-
-
-def sampling_interval(time: np.ndarray | None) -> float | None:
-    """Return the median positive step of a time column, s; None where there is none."""
-    steps = np.diff(time) if time is not None else np.zeros(0)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else None
 
 
 def _summarise(numbers: dict[str, np.ndarray], rows: int, length: int, first_row: int) -> dict[str, np.ndarray]:

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.reduction import Limits
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.carried_rows import columns_of_windows, refuse_short
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
+from imubayes.campaign.reduction.log_reduction import Limits
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
 from imubayes.campaign.reduction.motion_windows import contiguous
 from imubayes.campaign.reduction.pose_table import MOST_POSES, refuse_one_attitude, spread_over_the_sphere

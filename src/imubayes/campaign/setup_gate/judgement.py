@@ -7,13 +7,14 @@ mistakes are tried that such errors could conceal.  The findings say what is wro
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader
 
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
-from imubayes.campaign.setup_gate.record_remedies import issue_of
-from imubayes.campaign.setup_gate.remedies import REMEDIES
 from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Explanation, Search, equally_good
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
@@ -22,6 +23,12 @@ from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
+
+if TYPE_CHECKING:
+    from imubayes.campaign.setup_gate import record_remedies, remedies
+else:  # words for mistakes that are found
+    record_remedies = lazy_loader.load("imubayes.campaign.setup_gate.record_remedies", suppress_warning=True)
+    remedies = lazy_loader.load("imubayes.campaign.setup_gate.remedies", suppress_warning=True)
 
 _STEPS = 3
 _TURNED_FAR = 30.0
@@ -156,8 +163,8 @@ def _explained(
 def _words(campaign: Campaign, found: Explanation, record: WrongRecord | None, places: Places) -> Issue:
     """Return a mistake in words: those of a wrong record, or of its kind; angles of a run are off by their zero."""
     if record is None or found.mistake.kind == TableZero.kind:
-        return REMEDIES[found.mistake.kind](campaign, found, places)
-    return issue_of(found, record, places)
+        return remedies.REMEDIES[found.mistake.kind](campaign, found, places)
+    return record_remedies.issue_of(found, record, places)
 
 
 def _stops(equal: tuple[Explanation, ...]) -> bool:

@@ -1,8 +1,4 @@
-"""The models tried as a table and as JSON, and the provenance of a result in one line.
-
-The tree has residual rms and cross-validation of each model, and which one is selected.  The provenance line, for the
-foot of a page, states what a result comes from.
-"""
+"""The models tried as a table and as JSON: residual rms and cross-validation of each, and which one is selected."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +7,6 @@ from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.loop.model_history import CrossValidation, Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
-from imubayes.results.summary import FitProvenance
 
 Scales = Mapping[str, tuple[float, str]]
 """Unit → factor to a unit of plain numbers, and that unit."""
@@ -116,25 +111,3 @@ def offsets_moved_text(channels: Sequence[str]) -> str:
         f"The residual rms of {numbers.listed(channels)} rises because it now contains offsets of runs that "
         "parameters absorbed before. Within runs it does not rise."
     )
-
-
-_MOST_DIGITS = 12
-
-
-def provenance_line(found: FitProvenance | None) -> str:
-    """Return serial, dates, hashes, seed and the version of imubayes; empty for a result of an earlier version."""
-    if found is None:
-        return ""
-    first, last = found.first_run, found.last_run
-    days = list(dict.fromkeys(day[:10] for day in (first, last) if day is not None))
-    versions = {each.package: each.version for each in found.software}
-    parts = (
-        f"unit {found.serial}" if found.serial else "unit without serial number",
-        f"recorded {' to '.join(days)}" if days else "",
-        f"fitted {found.fitted[:16].replace('T', ' ')} UTC",
-        f"data SHA-256 {found.data_sha256[:_MOST_DIGITS]}…",
-        f"model SHA-256 {found.model_sha256[:_MOST_DIGITS]}…",
-        f"seed {found.seed}",
-        f"imubayes {versions.get('imubayes', '?')}, JAX {versions.get('jax', '?')}",
-    )
-    return "; ".join(part for part in parts if part)

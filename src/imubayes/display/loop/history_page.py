@@ -13,11 +13,12 @@ from pathlib import Path
 from imubayes.display.figure_style import Picture
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.figures.residual_evidence import added_variable, before_after
+from imubayes.display.fit_report import provenance_line
 from imubayes.display.layout import Sheet, render
 from imubayes.display.loop.change_report import change_lines, change_sheets
 from imubayes.display.loop.diagnosis_report import next_command
 from imubayes.display.loop.diagnosis_sentences import sentence
-from imubayes.display.loop.history import history_sheet, provenance_line
+from imubayes.display.loop.history import history_sheet
 from imubayes.display.numbers_and_labels import command_line, listed
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError
