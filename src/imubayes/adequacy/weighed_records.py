@@ -143,6 +143,7 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
     run = campaign.runs[wrong.run]
     recorded: float | None = None
     kind = "" if wrong.channel is None else campaign.channels[wrong.channel].kind
+    about = 0.0 if wrong.channel is None or wrong.form != "output_factor" else campaign.channels[wrong.channel].offset
     if wrong.form == "samples":
         recorded = float(np.median(run.samples))
         # The size is a ratio.
@@ -166,7 +167,7 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
         quantity = _outputs(campaign, wrong)
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
     return WrongRecord(
-        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind,
+        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind, about=about,
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,

@@ -4,6 +4,7 @@ Of those that explain the outputs equally well the first is named.  A new mistak
 words in `remedies` or `record_remedies`, and its name in `campaign.stream_checks`.
 """
 
+from imubayes.campaign.setup_gate.axis_mistakes import AxisColumns, AxisSense, AxisZero
 from imubayes.campaign.setup_gate.equipment_mistakes import (
     ChannelsExchanged,
     FilesExchanged,
@@ -15,7 +16,7 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
     TableZero,
     TimeShift,
 )
-from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit, SamplesFewer
 from imubayes.campaign.setup_gate.mounting_mistakes import (
     InputAxisWrong,
     MountingMislabelled,
@@ -26,7 +27,6 @@ from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOf
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
 from imubayes.campaign.setup_gate.reading_mistakes import (
     AngleUnit,
-    AxisZero,
     ChannelGain,
     LatitudeSign,
     LatitudeValue,
@@ -46,8 +46,8 @@ from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
     TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
-    AxisZero, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates, RateFactor,
+    AxisZero, AxisSense, AxisColumns, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates, RateFactor,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
-    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit,
+    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit, SamplesFewer,
 )  # fmt: skip

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
+from imubayes.campaign.setup_gate.explanations import Explanation, equally_good
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
 from imubayes.campaign.setup_gate.record_remedies import issue_of
 from imubayes.campaign.setup_gate.remedies import REMEDIES
-from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Explanation, Search, equally_good
+from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Search
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
@@ -22,10 +23,6 @@ from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
-
-_STEPS = 3
-_TURNED_FAR = 30.0
-"""Misfit per output up to which squares of plausible rotations may make it; a larger one is that of a mistake."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ def judge_setup(campaign: Campaign) -> Judgement:
     # Of tumbles a steady gyro tells one mistake from another where a poor one does not.
     tumbled = feels_the_earth_alone(campaign, search.views)
     tumbled = tumbled and not list(RatesMissing.suspected(campaign, search.views))
-    ordinary = search.ordinary or _turned_far(search)
+    ordinary = search.agrees
     single = [] if ordinary or tumbled else search.several_mistakes(1)
     if single and _more_than_noise(search, single) and (possible := _sized(campaign, single[0])):
         return Judgement((possible,), search.misfit)
@@ -63,18 +60,6 @@ def judge_setup(campaign: Campaign) -> Judgement:
     if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
         return Judgement(tuple(found), search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
-
-
-def _turned_far(search: Search) -> bool:
-    """Whether a campaign shows what its set-up says about mountings and tables that plausible errors turn far.
-
-    Squares of rotations by some degrees are beyond what a model that is linear about zero leaves out.
-    """
-    if search.misfit > _TURNED_FAR:
-        return False
-    for _ in range(_STEPS):
-        search = Search(search.campaign, views=search.views, centre=search.model.estimates(search.total))
-    return search.ordinary
 
 
 def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -> bool:

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.wrong_records import OPEN, WrongRecord
@@ -31,7 +31,9 @@ def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tu
 
 @dataclass(frozen=True)
 class ChannelOffset(Mistake):
-    """The outputs of a channel in a run are off by a size, as a ratio to the largest output.
+    """The outputs of a channel, in a run or in all, are off by a size, as a ratio to the largest output.
+
+    In all runs the stated offset of the channel is another one.
 
     Attributes
     ----------
@@ -54,15 +56,22 @@ class ChannelOffset(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel of several in every run, where other runs tell what its outputs are."""
-        for scope, k in _single_outputs(campaign, views):
+        """Yield every channel in all runs, and in every run whose outputs other runs tell."""
+        every = [(all_runs(range(len(views))), k) for k, each in enumerate(campaign.channels) if each.kind != "angle"]
+        for scope, k in (*every, *_single_outputs(campaign, views)):
             channel = campaign.channels[k]
             largest = max(np.nanmax(np.abs(view.observed[:, k] - channel.offset), initial=0.0) for view in views)
             if largest > 0:
                 yield cls(scope, channel.name, k, float(largest))
 
+    def stops(self, size: float) -> bool:
+        """Return whether it is one of a run: a poor unit may have the bias that an unstated offset would be."""
+        return self.scope.section == "run"
+
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
         """Return what the outputs of the channel in the run agree with, added to them."""
+        if self.scope.section != "run":
+            return None
         channel = campaign.channels[self.place]
         return WrongRecord(
             run=self.scope.name, form="output_offset", quantity=channel.name, unit=channel.output_unit, recorded=0.0,

@@ -68,33 +68,52 @@ class RateWithoutSign(Mistake):
 
 @dataclass(frozen=True)
 class RatesExchanged(Mistake):
-    """The rates of two rows of a run are exchanged; `rows` are their places from 0, of `among` rows."""
+    """The rates of some rows of a run are exchanged among them: row `order[k]` holds the rate of row k.
 
-    rows: tuple[int, int]
-    among: int
+    Two rows, and all rows in reverse, are points on any other order.
+    """
+
+    order: tuple[int, ...]
     kind: ClassVar[str] = "rates_exchanged"
 
     @property
+    def rows(self) -> tuple[int, ...]:
+        """Places of the rows that hold the rate of another one, from 0."""
+        return tuple(k for k, place in enumerate(self.order) if k != place)
+
+    @property
+    def reverse(self) -> bool:
+        """Whether all rows are in reverse."""
+        return self.order == tuple(reversed(range(len(self.order))))
+
+    @property
     def unlikelihood(self) -> float:
-        """The rows are chosen by the outputs."""
-        return 2 * math.log(self.among * (self.among - 1) / 2)
+        """The order is chosen by the outputs, among all of so many rows."""
+        among, moved = len(self.order), len(self.rows)
+        return 0.0 if self.reverse else 2 * (math.lgamma(among + 1) - math.lgamma(among - moved + 1) - math.log(2))
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the runs in which two rows alone are off, and each has about the rate of the other."""
+        """Yield the runs in which the rows that are off have the rates of each other."""
         for scope in single_runs(views):
             view = views[scope.runs[0]]
             shown = shown_rates(campaign, view)
             if shown is None:
                 continue
+            if view.rows > 2 and _alike(shown, view.rate[::-1]).all() and not _alike(shown, view.rate).all():
+                yield cls(scope, tuple(reversed(range(view.rows))))
+                continue
             off = np.flatnonzero(~_alike(shown, view.rate))
-            if len(off) == 2 and _alike(shown[off], view.rate[off[::-1]]).all():
-                yield cls(scope, (int(off[0]), int(off[1])), view.rows)
+            source = np.empty(len(off), dtype=int)
+            source[np.argsort(shown[off], kind="stable")] = off[np.argsort(view.rate[off], kind="stable")]
+            if len(off) > 1 and _alike(shown[off], view.rate[source]).all():
+                order = np.arange(view.rows)
+                order[off] = source
+                yield cls(scope, tuple(order.tolist()))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the two rates in their places."""
-        view, order = views[place], np.arange(self.among)
-        order[list(self.rows)] = self.rows[::-1]
+        """Return the run with the rates in their places."""
+        view, order = views[place], list(self.order)
         return changed(view, rate=view.rate[order], span=view.span[order])
 
 

@@ -90,6 +90,7 @@ class WrongRow:
         return WrongRecord(
             run=self.run, row=self.row + 1, form=form, quantity=quantity, unit=unit, recorded=recorded,
             agreeing=(agreeing,), sd=(sd,) if sd else (), kind=kind,
+            about=channel.offset if channel is not None and form == "output_factor" else 0.0,
         )  # fmt: skip
 
 
