@@ -26,6 +26,9 @@ def all_said(folder: Path) -> str:
         ("output_off", "triad", 3), ("output_stuck", "triad", 3), ("output_copied", "triad", 3),
         ("rate_times", "gyro", 1),
         ("decimal_of_a_rate", "gyro", 2),
+        ("rates_in_reverse", "gyro", 3), ("rates_of_five_rows", "gyro", 3), ("all_of_a_kind_in_a_run", "imu", 3),
+        ("column_in_volt", "gyro", 3), ("sign_about_an_offset", "gyro", 3), ("offset_not_stated", "gyro", 3),
+        ("kinds_exchanged", "imu", 3),
     ],
 )  # fmt: skip
 def test_a_wrong_record_is_named(kind: str, bench: str, seed: int, tmp_path: Path):

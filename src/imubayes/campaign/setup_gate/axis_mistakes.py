@@ -88,22 +88,35 @@ class AxisZero(_OfAxis):
 
 @dataclass(frozen=True)
 class AxisSense(_OfAxis):
-    """The outer or the middle axis of a table turns against the stated sense, in all its runs or one."""
+    """The outer or the middle axis of a table turns against the stated sense, in all its runs or one.
 
+    The columns of the angle and of the rate are reversed, or one of them (`columns`).
+    """
+
+    columns: tuple[str, ...] = ("angle", "rate")
     kind: ClassVar[str] = "axis_reversed"
+
+    @property
+    def variant(self) -> str:
+        """The axis, and its columns."""
+        return " ".join((OUTER[self.axis], *self.columns))
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield the axes that move in the runs concerned."""
         for scope, axis in _scopes(campaign, views):
             moved = [_carrying(views[k]) for k in scope.runs]
-            if any(np.any(each.rate[:, axis]) or np.any(np.nan_to_num(each.angle[:, axis])) for each in moved):
-                yield cls(scope, axis)
+            turned = any(np.any(each.rate[:, axis]) for each in moved)
+            tilted = any(np.any(np.nan_to_num(each.angle[:, axis])) for each in moved)
+            for columns in (("angle", "rate"), *((("angle",), ("rate",)) if turned and tilted else ())):
+                if turned or tilted:
+                    yield cls(scope, axis, columns)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with angle and rate of the axis reversed."""
         outer, sign = _carrying(views[place]), np.where(np.arange(2) == self.axis, -1.0, 1.0)
-        turned = replace(outer, angle=outer.angle * sign, rate=outer.rate * sign, span=outer.span * sign)
+        angle, rate = (sign if column in self.columns else 1.0 for column in ("angle", "rate"))
+        turned = replace(outer, angle=outer.angle * angle, rate=outer.rate * rate, span=outer.span * rate)
         return changed(views[place], outer=turned)
 
 
@@ -146,3 +159,21 @@ def _columns(view: RunView) -> np.ndarray:
     outer = _carrying(view)
     pairs = ((outer.angle, view.angle), (outer.rate, view.rate), (outer.span, view.span))
     return np.stack([np.column_stack(each) for each in pairs])
+
+
+def recorded_column(view: RunView, column: str) -> np.ndarray:
+    """Return a column of angles or rates of an axis, such as ``middle_angle``, (R,)."""
+    axis, quantity = column.rsplit("_", 1)
+    if axis == AXES[-1]:
+        return getattr(view, quantity)
+    return getattr(_carrying(view), quantity)[:, OUTER.index(axis)]
+
+
+def with_column(view: RunView, column: str, values: np.ndarray) -> RunView:
+    """Return a view with another column of angles or rates of an axis."""
+    axis, quantity = column.rsplit("_", 1)
+    if axis == AXES[-1]:
+        return changed(view, **{quantity: values})
+    both = getattr(_carrying(view), quantity).copy()
+    both[:, OUTER.index(axis)] = values
+    return changed(view, outer=replace(_carrying(view), **{quantity: both}))

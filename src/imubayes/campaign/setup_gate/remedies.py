@@ -59,12 +59,16 @@ def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 
 def _axis_sense(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    axis = found.mistake.variant
+    axis, *names = found.mistake.variant.split()
+    columns = [f"{axis}_{'angle_deg' if name == 'angle' else 'rate_deg_s'}" for name in names]
+    what = f"the {axis} axis turns against the stated sense"
+    if len(columns) == 1:
+        what = f"column '{columns[0]}' has the opposite sign"
     return Issue(
-        f"the {axis} axis turns against the stated sense {subject_of(found.mistake)}",
-        places.column(found.mistake, f"{axis}_angle_deg"),
+        f"{what} {subject_of(found.mistake)}",
+        places.column(found.mistake, columns[0]),
         "rates and angles right-handed about the axis",
-        f"reverse the sign of '{axis}_rate_deg_s' and '{axis}_angle_deg' {subject_of(found.mistake)}",
+        f"reverse the sign of {' and '.join(f"'{each}'" for each in columns)} {subject_of(found.mistake)}",
     )
 
 
