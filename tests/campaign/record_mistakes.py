@@ -223,7 +223,7 @@ def sign_about_an_offset(files: Files, draw: np.random.Generator) -> tuple[str, 
     """Reverse the sign of a channel about its offset in one run."""
     run = files.of("rate_table")[0]
     changed(files, run, "g1", lambda values: 5000 - values)
-    return (f"'{run['name']}'", "replace y by 2500 + -1 (y - 2500) in column 'g1'")
+    return (f"'{run['name']}'", "replace y by 5000 - y in column 'g1'")
 
 
 def offset_not_stated(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:

@@ -54,6 +54,7 @@ FINDINGS: dict[str, str] = {
     "rate_without_sign": "the rates of a run are recorded without their sign",
     "rates_exchanged": "the rates of rows of a run are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
+    "reference_unit": "the rates of a reference gyro have another sign or unit",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
     "mountings_exchanged": "two mountings are exchanged",
@@ -96,7 +97,7 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
     "table_zero", "axis_zero", "axis_reversed", "axis_columns", "table_elevation", "table_reversed", "axes_exchanged",
-    "time_shift", "angle_unit", "rates_missing", "rate_without_sign",
+    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit",
 )  # fmt: skip
 
 

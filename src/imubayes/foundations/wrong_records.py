@@ -220,8 +220,9 @@ def correction(each: WrongRecord) -> str:
         return ""
     run, named, where = f"run '{each.run}'", each.named, _cells(each)
     if each.about and each.form == "output_factor":
-        offset = significant(each.about, 6)
-        return f"replace y by {offset} + {_value(each)} (y - {offset}) in {where}"
+        if named is not None and named.name == OPPOSITE:
+            return f"replace y by {2 * each.about:g} - y in {where}"
+        return f"replace y by {each.about:g} + {_value(each)} (y - {each.about:g}) in {where}"
     if named is not None and named.correction:
         return named.correction.format(where)
     several = len(each.agreeing) > 1 or each.quantity == "outputs"

@@ -24,7 +24,7 @@ from imubayes.campaign.setup_gate.mounting_mistakes import (
     MountingWrong,
 )
 from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
-from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
+from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.campaign.setup_gate.reading_mistakes import (
     AngleUnit,
     ChannelGain,
@@ -46,7 +46,8 @@ from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
     TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
-    AxisZero, AxisSense, AxisColumns, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates, RateFactor,
+    AxisZero, AxisSense, AxisColumns, ReferenceUnit, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates,
+    RateFactor,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
     RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit, SamplesFewer,

@@ -1,7 +1,8 @@
 """The rates of a table that were recorded without their signs, or not at all: the gyros tell them row by row.
 
-The open value of a column of rates is a rate for each row.  It has two points with a name: the recorded rates with the
-signs that the gyros show, and a column that holds nothing but zeros.
+The open value of a column of rates is a rate for each row.  Points with a name are the recorded rates with the signs
+that the gyros show, or in another order, and a column that holds nothing but zeros.  The rates of a reference gyro may
+have another sign or unit.
 """
 
 import math
@@ -12,11 +13,14 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.reading_mistakes import ChannelGain
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.wrong_records import RATE_UNITS, SCALE_OF_KIND
 
 _LEAST_RATE = math.radians(0.5)  # rad/s, of rows that count as turning
 _LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that tells its rate
+_SAME_FACTOR = 0.02  # relative difference of units that are one
 _AS_RECORDED = 0.2  # relative difference of rates that are alike but for the sign
 
 
@@ -115,6 +119,54 @@ class RatesExchanged(Mistake):
         """Return the run with the rates in their places."""
         view, order = views[place], list(self.order)
         return changed(view, rate=view.rate[order], span=view.span[order])
+
+
+@dataclass(frozen=True)
+class ReferenceUnit(Mistake):
+    """The rates of a reference gyro have the opposite sign about one axis, or all are in another `unit`.
+
+    Gyros that are all held against it may be wrong in the same way.
+
+    Attributes
+    ----------
+    axes : of the reference gyro that are concerned.
+    """
+
+    axes: tuple[int, ...]
+    factor: float
+    unit: str
+    kind: ClassVar[str] = "reference_unit"
+
+    @property
+    def variant(self) -> str:
+        """The axes and the unit."""
+        return f"{self.axes} {self.unit}"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A reference is that of all runs."""
+        return SCALE_OF_KIND if self.scope.section == "run" else 0.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield each axis reversed and every unit, in all runs beside a reference gyro or one."""
+        beside = [k for k, view in enumerate(views) if view.reference is not None]
+        scopes = [all_runs(beside), *(Scope("run", views[k].name, (k,)) for k in beside)] if beside else []
+        for scope in scopes:
+            yield from (cls(scope, (axis,), -1.0, "") for axis in range(3))
+            yield from (cls(scope, (0, 1, 2), factor, unit) for unit, factor in RATE_UNITS.items())
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sign or the unit of gyros that does the same."""
+        if not isinstance(other, ChannelGain) or other.scope.runs != self.scope.runs:
+            return False
+        return abs(other.factor / self.factor - 1) < _SAME_FACTOR
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the rates of the reference converted."""
+        reference = views[place].reference
+        assert reference is not None
+        return changed(views[place], reference=reference * np.where(np.isin(range(3), self.axes), self.factor, 1.0))
 
 
 def _alike(shown: np.ndarray, recorded: np.ndarray) -> np.ndarray:

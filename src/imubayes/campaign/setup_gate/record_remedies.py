@@ -12,7 +12,7 @@ from imubayes.campaign.setup_gate import thermal_mistakes as thermal
 from imubayes.campaign.setup_gate.explanations import Explanation
 from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, repeats
 from imubayes.campaign.setup_gate.places import Places, subject_of
-from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
+from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.number_text import pretty
@@ -114,6 +114,21 @@ def _swapped(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
+def _reference(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, ReferenceUnit)
+    mistake, subject = found.mistake, subject_of(found.mistake)
+    columns = [f"'reference_{'xyz'[axis]}_deg_s'" for axis in mistake.axes]
+    listed, many = ", ".join(columns), len(columns) > 1
+    what = f"in {mistake.unit}" if mistake.unit else "reversed in sign"
+    mend = f"multiply {listed} by {mistake.factor:.8g}" if mistake.unit else f"reverse the sign of {listed}"
+    return Issue(
+        f"{'columns' if many else 'column'} {listed} {'are' if many else 'is'} {what} {subject}",
+        places.column(mistake, columns[0].strip("'")),
+        "rates of the reference gyro in axes of the body, degrees per second",
+        f"{mend} {subject}",
+    )
+
+
 def _no_rates(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, RatesMissing)
     largest = max(float(np.abs(each).max()) for each in found.mistake.rates)
@@ -156,6 +171,7 @@ RECORD_REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "output_offset": _offset,
     "rate_without_sign": _unsigned,
     "rates_missing": _no_rates,
+    "reference_unit": _reference,
     "rates_exchanged": _swapped,
 }
 """Kind of mistake → how it is said."""
