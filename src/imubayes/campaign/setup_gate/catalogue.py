@@ -6,7 +6,6 @@ words in `remedies` or `record_remedies`, and its name in `campaign.stream_check
 
 from imubayes.campaign.setup_gate.axis_mistakes import AxisColumns, AxisSense, AxisZero
 from imubayes.campaign.setup_gate.equipment_mistakes import (
-    ChannelsExchanged,
     FilesExchanged,
     Mistake,
     MountingTurned,
@@ -23,7 +22,7 @@ from imubayes.campaign.setup_gate.mounting_mistakes import (
     MountingsExchanged,
     MountingWrong,
 )
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, ChannelsExchanged, KindsExchanged
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.campaign.setup_gate.reading_mistakes import (
     AngleUnit,
@@ -45,7 +44,7 @@ from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 
 MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
-    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
+    TableElevation, TableAzimuth, ChannelsExchanged, KindsExchanged, TimeShift, MountingWrong, InputAxisWrong,
     AxisZero, AxisSense, AxisColumns, ReferenceUnit, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates,
     RateFactor,
     LatitudeSign, LatitudeValue,

@@ -412,41 +412,6 @@ class TableAzimuth(Mistake):
         return changed(views[place], azimuth=views[place].azimuth + size)
 
 
-@dataclass(frozen=True)
-class ChannelsExchanged(Mistake):
-    """Channels are exchanged: channel `order[i]` is in the column of channel `places[i]`."""
-
-    places: tuple[int, ...]
-    order: tuple[int, ...]
-    kind: ClassVar[str] = "axes_exchanged"
-    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
-
-    @property
-    def unlikelihood(self) -> float:
-        """Cables are exchanged for all runs, or columns in one file."""
-        return 10.0 if self.scope.section == "run" else 0.0
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every pair and, of three channels of a kind, both cycles; in all runs or one."""
-        scopes = [all_runs(range(len(views))), *single_runs(views, False)]
-        kinds = [
-            [k for k, each in enumerate(campaign.channels) if each.kind == kind] for kind in ("gyro", "accelerometer")
-        ]
-        orders = [((a, b), (b, a)) for places in kinds for a, b in itertools.combinations(places, 2)]
-        orders += [((a, b, c), turned) for places in kinds for a, b, c in itertools.combinations(places, 3)
-                   for turned in ((b, c, a), (c, a, b))]  # fmt: skip
-        orders += [((a, b), (b, a)) for a, b in itertools.product(*kinds)]
-        for scope, (before, after) in itertools.product(scopes, orders):
-            yield cls(scope, before, after)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the columns in order."""
-        observed = views[place].observed.copy()
-        observed[:, list(self.order)] = views[place].observed[:, list(self.places)]
-        return changed(views[place], observed=observed)
-
-
 def _is_static(view: RunView) -> bool:
     """Whether no stimulus is between those of two rows: at rest, or on several axes."""
     return view.outer is not None or not (np.any(view.span) or view.reference is not None or np.any(view.rate))

@@ -7,6 +7,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate import equipment_mistakes as bench
 from imubayes.campaign.setup_gate import mounting_mistakes as seats
+from imubayes.campaign.setup_gate import output_mistakes as outputs
 from imubayes.campaign.setup_gate import reading_mistakes as reading
 from imubayes.campaign.setup_gate.explanations import Explanation
 from imubayes.campaign.setup_gate.places import Places, subject_of
@@ -230,7 +231,7 @@ def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> I
 
 def _channels(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, bench.ChannelsExchanged)
+    assert isinstance(mistake, outputs.ChannelsExchanged)
     pairs = [(campaign.channels[a].name, campaign.channels[b].name) for a, b in
              zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
     columns = ", ".join(f"'{name}'" for name, _ in pairs)
