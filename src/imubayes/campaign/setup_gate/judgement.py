@@ -14,7 +14,7 @@ from imubayes.campaign.setup_gate.explanations import Explanation, equally_good
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
 from imubayes.campaign.setup_gate.record_remedies import issue_of
-from imubayes.campaign.setup_gate.remedies import REMEDIES
+from imubayes.campaign.setup_gate.remedies import REMEDIES, with_scale
 from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Search
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
@@ -34,11 +34,13 @@ class Judgement:
     mistakes : each with its equally good explanations, the best first; empty where there is none.
     misfit : of the set-up as stated, per output.
     unexplained : run → misfit per output of the runs that disagree, where no mistake explains it.
+    nearest : a mistake whose correction takes most of the misfit away, and does not let the campaign agree.
     """
 
     mistakes: tuple[tuple[Explanation, ...], ...] = ()
     misfit: float = 0.0
     unexplained: tuple[tuple[str, float], ...] = ()
+    nearest: Explanation | None = None
 
 
 def judge_setup(campaign: Campaign) -> Judgement:
@@ -59,7 +61,7 @@ def judge_setup(campaign: Campaign) -> Judgement:
         return Judgement((), search.misfit)
     if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
         return Judgement(tuple(found), search.misfit)
-    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
+    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()), nearest=search.nearest)
 
 
 def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -> bool:
@@ -75,6 +77,7 @@ def _sized(campaign: Campaign, equal: tuple[Explanation, ...]) -> tuple[Explanat
     return tuple(each for each in found if each.mistake.possible(each.size))
 
 
+_FOLLOWING = "outputs that follow the nominal input"
 _MOST_RUNS = 5
 _MOST_ALTERNATIVES = 5
 
@@ -90,10 +93,14 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
     rows = wrong_rows(campaign)
     said = [_of_row(campaign, each, places) for each in rows]
     judged = judge_setup(with_rows(campaign, rows))
+    for equal in judged.mistakes:
+        said.append(_explained(campaign, equal, places, accepted))
+        campaign = with_scale(campaign, equal[0])
     if judged.mistakes:
-        return [*said, *(_explained(campaign, equal, places, accepted) for equal in judged.mistakes)]
+        return said
     return [
         *said,
+        *([] if judged.nearest is None else [_not_explained(campaign, judged.nearest, places)]),
         *(_unexplained(name, misfit, places.table(name)) for name, misfit in judged.unexplained[:_MOST_RUNS]),
     ]
 
@@ -152,13 +159,28 @@ def _stops(equal: tuple[Explanation, ...]) -> bool:
     return sure and all(each.mistake.stops(each.size) for each in equal)
 
 
+def _not_explained(campaign: Campaign, nearest: Explanation, places: Places) -> Finding:
+    """Return that the mistake that comes nearest was corrected, and the campaign does not agree with that."""
+    record = nearest.mistake.wrong_record(campaign, nearest.size, nearest.uncertainty)
+    words = _words(campaign, nearest, record, places)
+    what = (
+        f"the nearest mistake does not explain the outputs: {words.what}.  With that corrected they differ by about "
+        f"{math.sqrt(nearest.misfit):.2g} times the amount that errors of unit and equipment allow"
+    )
+    run = nearest.mistake.scope.name if nearest.mistake.scope.section == "run" else ""
+    remedy = "check mounting, table, units and files: several of them may be wrong"
+    return Finding(
+        "setup_disagrees", "warning", run, what, words.where, "outputs that follow the nominal input", remedy
+    )
+
+
 def _unexplained(run: str, misfit: float, where: str) -> Finding:
     what = (
         f"the outputs differ from the prediction of the set-up by about {math.sqrt(misfit):.2g} times the amount that "
         "errors of unit and equipment allow, and no single mistake in the set-up explains this"
     )
     remedy = "check mounting, table, units and files of the run"
-    return Finding("setup_disagrees", "warning", run, what, where, "outputs that follow the nominal input", remedy)
+    return Finding("setup_disagrees", "warning", run, what, where, _FOLLOWING, remedy)
 
 
 SETUP_FINDINGS = tuple(dict.fromkeys(each.kind for each in MISTAKES))

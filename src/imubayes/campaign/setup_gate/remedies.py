@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -259,6 +260,22 @@ def _about(campaign: Campaign, found: Explanation) -> str:
     gain = isinstance(mistake, reading.ChannelGain)
     offsets = mistake.offsets if gain else tuple(campaign.channels[place].offset for place in mistake.places)
     return f", each less its offset, {', '.join(f'{each:g}' for each in offsets)}" if any(offsets) else ""
+
+
+def with_scale(campaign: Campaign, found: Explanation) -> Campaign:
+    """Return the campaign with the scale factors that a mistake asks for.
+
+    The line of the next mistake of the same channels starts from them, and so holds the product.
+    """
+    mistake = found.mistake
+    if not isinstance(mistake, (reading.ChannelGain, reading.NominalScale)) or mistake.scope.section == "run":
+        return campaign
+    units, factor = _unit_and_factor(found)
+    channels = tuple(
+        replace(each, scale=each.scale * factor) if units and each.name in mistake.channels else each
+        for each in campaign.channels
+    )
+    return replace(campaign, channels=channels)
 
 
 def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:

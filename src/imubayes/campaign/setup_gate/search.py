@@ -69,6 +69,7 @@ class Search:
         centre: np.ndarray | None = None,
     ):
         self.campaign = campaign
+        self.nearest: Explanation | None = None
         self.views = views_of(campaign) if views is None else tuple(views)
         if not self.views:
             return
@@ -102,15 +103,18 @@ class Search:
     def several_mistakes(self, most: int, tried: int = TRIED_FIRST) -> list[tuple[Explanation, ...]]:
         """Return the fewest mistakes that explain the outputs together; none where so many do not.
 
+        Where none does, the `nearest` is one whose correction takes most of the misfit away, and leaves too much.
+
         Parameters
         ----------
         most : mistakes together.
         tried : how many of the best are tried as the first of several.
         """
         found = told_by_name([each for each in self._suspected() if each.support > DECISIVE])
-        whole = self._verified([each for each in found if self._explains(each) and not self._passes(each.mistake)])
-        if whole:
+        explaining = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
+        if whole := self._verified(explaining):
             return [equally_good(whole)]
+        self.nearest = max(explaining, key=lambda each: each.support, default=None)
         if most == 1:
             return []
         # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
