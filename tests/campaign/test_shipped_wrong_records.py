@@ -37,8 +37,8 @@ def found_in(folder: Path, name: str, runs: tuple[str, ...], column: str, change
         ),
         (
             "trihedral-imu", "head-z-up-minus10C", "temperature_degC", np.abs,
-            "run 'head-z-up-minus10C' would agree with temperature_degC about -11.180 °C on average (recorded: 11.180), "
-            "as if with the opposite sign",
+            "run 'head-z-up-minus10C' would agree with temperature_degC about -11.180 °C on average (recorded: 11.180)"
+            ", as if with the opposite sign",
         ),
         (
             "trihedral-imu", "rate-x-up-25C", "samples", lambda count: 100 * count,

@@ -160,15 +160,19 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     levels = SteadinessLevels(campaign)
     first, stated = levels.of_most_evidence()
     views = levels[0].views
-    one_input = feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views)
-    where = Concealed.BY_ONE_INPUT if one_input else Concealed.BY_INPUTS
-    concealed = [kind for kind in MISTAKES if where in kind.concealed]
-    doubted = {most: levels[first].suspects(most) for most in {kind.of_doubted_runs for kind in concealed} if most}
-    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
-    likeliest = levels.likeliest(suspected, first, stated)
+    likeliest = levels.likeliest(_concealed(campaign, levels[first], views), first, stated)
     likeliest += levels.likeliest([rival for each in likeliest for rival in each.mistake.rivals()], first, stated)
     said = [each for each in _strongest(likeliest) if _is_sayable(each, campaign)]
     return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
+
+
+def _concealed(campaign: Campaign, search: Search, views: Sequence[RunView]) -> list[Mistake]:
+    """Return the mistakes that plausible errors may conceal in a campaign."""
+    one_input = feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views)
+    where = Concealed.BY_ONE_INPUT if one_input else Concealed.BY_INPUTS
+    kinds = [kind for kind in MISTAKES if where in kind.concealed]
+    doubted = {most: search.suspects(most) for most in {kind.of_doubted_runs for kind in kinds} if most}
+    return [each for kind in kinds for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
 
 
 def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
