@@ -13,7 +13,6 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
     RIGHT_ANGLES,
-    Concealed,
     Mistake,
     Scope,
     single_runs,
@@ -26,8 +25,6 @@ from imubayes.foundations.campaign_data import Campaign
 OUTER = ("outer", "middle")
 AXES = (*OUTER, "table")
 _LEAST_ANGLE = math.radians(1.0)  # of columns that differ
-_DOUBTED = 1  # runs; the motion of three axes takes long to follow
-_SMALLEST = math.radians(2.0)
 
 
 def _scopes(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tuple[Scope, int]]:
@@ -50,8 +47,6 @@ class _OfAxis(Mistake):
     """A mistake of an axis that carries another one."""
 
     axis: int
-    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
-    of_doubted_runs: ClassVar[int] = _DOUBTED
 
     @property
     def variant(self) -> str:
@@ -65,7 +60,6 @@ class AxisZero(_OfAxis):
 
     kind: ClassVar[str] = "axis_zero"
     estimated: ClassVar[bool] = True
-    least: ClassVar[float] = _SMALLEST  # smaller ones pass for errors that the linear model leaves out
     usual_within: ClassVar[float] = math.radians(3.5)
     sizes: ClassVar[tuple[float, ...]] = tuple(np.radians(np.arange(-150, 181, 30)))
 
@@ -127,8 +121,6 @@ class AxisColumns(Mistake):
     first: int
     second: int
     kind: ClassVar[str] = "axis_columns"
-    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
-    of_doubted_runs: ClassVar[int] = _DOUBTED
 
     @property
     def variant(self) -> str:

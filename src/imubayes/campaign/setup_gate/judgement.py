@@ -53,13 +53,14 @@ def judge_setup(campaign: Campaign) -> Judgement:
     tumbled = tumbled and not list(RatesMissing.suspected(campaign, search.views))
     ordinary = search.agrees
     single = [] if ordinary or tumbled else search.several_mistakes(1)
-    if single and _more_than_noise(search, single) and (possible := _sized(campaign, single[0])):
+    noisy = bool(single) and not _more_than_noise(search, single)
+    if single and not noisy and (possible := _sized(campaign, single[0])):
         return Judgement((possible,), search.misfit)
     if (hidden := hidden_mistakes(campaign)) and (possible := _sized(campaign, equally_good(hidden, DECISIVE))):
         return Judgement((possible,), search.misfit)
     if ordinary:
         return Judgement((), search.misfit)
-    if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
+    if not noisy and (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
         return Judgement(tuple(found), search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()), nearest=search.nearest)
 

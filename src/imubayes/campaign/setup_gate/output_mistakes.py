@@ -16,8 +16,10 @@ import numpy as np
 from imubayes.campaign.setup_gate.equipment_mistakes import Concealed, Mistake, Scope, all_runs, single_runs
 from imubayes.campaign.setup_gate.reading_mistakes import driven
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.wrong_records import OPEN, WrongRecord
+
+_DEGREE = math.pi / 180
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,9 @@ class ChannelOffset(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel in all runs, and in every run whose outputs other runs tell."""
-        every = [(all_runs(range(len(views))), k) for k, each in enumerate(campaign.channels) if each.kind != "angle"]
+        """Yield the channels whose outputs do not lie about their offset, and every one in every run."""
+        places = [k for k, each in enumerate(campaign.channels) if each.kind != "angle" and _is_off(views, k, each)]
+        every = [(all_runs(range(len(views))), k) for k in places]
         for scope, k in (*every, *_single_outputs(campaign, views)):
             channel = campaign.channels[k]
             largest = max(np.nanmax(np.abs(view.observed[:, k] - channel.offset), initial=0.0) for view in views)
@@ -146,6 +149,20 @@ class ChannelOffset(Mistake):
         observed = views[place].observed.copy()
         observed[:, self.place] -= size * self.largest
         return changed(views[place], observed=observed)
+
+
+_LEAST_BIAS = {"gyro": 5 * _DEGREE, "accelerometer": 15.0}
+"""Median output about the offset from which an offset is doubted: rad/s, and m/s², above that of a unit at rest."""
+
+
+def _is_off(views: Sequence[RunView], place: int, channel: Channel) -> bool:
+    """Whether the outputs of a channel lie farther about its stated offset than a bias lets them."""
+    outputs = np.concatenate([view.observed[:, place] for view in views]) - channel.offset
+    outputs = outputs[np.isfinite(outputs)]
+    if not len(outputs):
+        return False
+    middle = abs(float(np.median(outputs)))
+    return middle > _LEAST_BIAS[channel.kind] * channel.scale_si
 
 
 _RANGE = 1e3

@@ -341,7 +341,7 @@ class ChannelGain(Mistake):
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
                 told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
-                if told < (1 if scope.section == "run" else min(2, len(channels))):
+                if told < (1 if scope.section == "run" and len(views) > 1 else min(2, len(channels))):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
