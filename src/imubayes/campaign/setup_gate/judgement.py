@@ -60,9 +60,15 @@ def judge_setup(campaign: Campaign) -> Judgement:
         return Judgement((possible,), search.misfit)
     if ordinary:
         return Judgement((), search.misfit)
-    if not noisy and (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
-        return Judgement(tuple(found), search.misfit)
+    if not noisy and (found := _several(search)):
+        return Judgement(found, search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()), nearest=search.nearest)
+
+
+def _several(search: Search) -> tuple[tuple[Explanation, ...], ...]:
+    """Return the mistakes that explain the outputs together, and more than larger noise would; empty without any."""
+    found = search.several_mistakes(MOST_MISTAKES)
+    return tuple(found) if found and _more_than_noise(search, found) else ()
 
 
 def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -> bool:
