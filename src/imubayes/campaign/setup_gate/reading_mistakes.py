@@ -298,6 +298,11 @@ _MOST_TURNS = 4
 _SAME_FACTOR = 0.02
 
 
+def _least_driven(scope: Scope, views: Sequence[RunView], channels: Sequence[Channel]) -> int:
+    """Return how many of some channels need an input to show their unit: in one of several runs biases show it."""
+    return 1 if scope.section == "run" and len(views) > 1 else min(2, len(channels))
+
+
 @dataclass(frozen=True)
 class ChannelGain(Mistake):
     """Channels respond with a factor: another sign, or another unit (`units`).
@@ -341,7 +346,7 @@ class ChannelGain(Mistake):
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
                 told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
-                if told < (1 if scope.section == "run" and len(views) > 1 else min(2, len(channels))):
+                if told < _least_driven(scope, views, channels):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
