@@ -179,10 +179,84 @@ def decimal_of_a_rate(files: Files, draw: np.random.Generator) -> tuple[str, ...
     return (f"row {row + 1} of run '{run['name']}'", "table_rate_deg_s = ")
 
 
+def rates_in_reverse(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write the rates of one run from the last row to the first."""
+    runs = files.of("rate_table")
+    run = runs[draw.integers(len(runs))]
+    changed(files, run, "table_rate_deg_s", lambda rate: rate[::-1])
+    return (f"the rates of all rows are in reverse order in run '{run['name']}'",)
+
+
+def rates_of_five_rows(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write the rates of five rows of one run each in the row before: more than are judged as single rows."""
+    runs = files.of("rate_table")
+    run, rows = runs[draw.integers(len(runs))], [2, 4, 5, 7, 9]
+
+    def turn(rate: np.ndarray) -> np.ndarray:
+        rate = rate.copy()
+        rate[rows] = rate[np.roll(rows, -1)]
+        return rate
+
+    changed(files, run, "table_rate_deg_s", turn)
+    return (f"in run '{run['name']}'", "'table_rate_deg_s' of rows 10, 3, 5, 6, 8 in rows 3, 5, 6, 8, 10")
+
+
+def all_of_a_kind_in_a_run(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write the outputs of all gyros of one run in mdeg/s; the table moves one of them."""
+    names, runs = files.channels("gyro"), files.of("rate_table")
+    run = runs[draw.integers(len(runs))]
+    if len(names) < 3:
+        return None
+    for name in names:
+        changed(files, run, name, lambda values: 1000 * values)
+    return (f"'gx', 'gy', 'gz' are 1000 times too large in run '{run['name']}'",)
+
+
+def column_in_volt(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write the column of a channel of which an offset is stated in V, not mV, in one run."""
+    run = files.runs[draw.integers(len(files.runs))]
+    changed(files, run, "g1", lambda values: values / 1000)
+    return (f"run '{run['name']}' would agree with its output of g1 times 1000", "multiply column 'g1'")
+
+
+def sign_about_an_offset(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Reverse the sign of a channel about its offset in one run."""
+    run = files.of("rate_table")[0]
+    changed(files, run, "g1", lambda values: 5000 - values)
+    return (f"'{run['name']}'", "replace y by 5000 - y in column 'g1'")
+
+
+def offset_not_stated(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Leave out the offset of a channel, which no run contradicts: all have it."""
+    files.document["channel"][0].pop("offset")
+    files.save()
+    return ("outputs of channel 'g1' lie about 2", "not about its offset, 0", "write offset = ")
+
+
+def kinds_exchanged(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Exchange the columns of a gyro and of an accelerometer in all runs."""
+    for run in files.runs:
+
+        def edit(columns: Cells) -> None:
+            columns["gy"], columns["az"] = columns["az"], columns["gy"]
+
+        files.edit(run, edit)
+    return ("channels 'gy', 'az' are exchanged in all runs",)
+
+
+def samples_times_hundred(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """State a hundred times as many samples as the means of a run were made of."""
+    run = files.runs[draw.integers(len(files.runs))]
+    changed(files, run, "samples", lambda count: 100 * count)
+    return (f"run '{run['name']}'", "'samples'")
+
+
 RECORD_MISTAKES: dict[str, Planter] = {
     each.__name__: each
     for each in (
         heater_off, temperatures_exchanged, other_unit, rate_without_sign, rates_missing, sign_in_one_row,
         scale_ten_times, output_off, output_stuck, output_copied, rate_times, decimal_of_a_rate,
+        rates_in_reverse, rates_of_five_rows, all_of_a_kind_in_a_run, column_in_volt, sign_about_an_offset,
+        offset_not_stated, kinds_exchanged, samples_times_hundred,
     )
 }  # fmt: skip

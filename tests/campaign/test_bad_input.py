@@ -336,6 +336,15 @@ def test_model_file_missing(tmp_path: Path) -> None:
     expect(caught.value.issues, "no file", "bass.toml", "base.toml")
 
 
+def test_a_misspelt_section_is_one_problem(small: Path) -> None:
+    file = small / "campaign.toml"
+    file.write_text(file.read_text().replace("[[channel]]", "[[chanel]]"))
+    with pytest.raises(InputError) as raised:
+        load_campaign(small)
+    (issue,) = raised.value.issues
+    assert (issue.what, issue.remedy) == ("unknown key 'chanel'", "write 'channel' in place of 'chanel'")
+
+
 def test_all_problems_at_once(small: Path) -> None:
     for name in ("latitude out of range", "unknown kind", "unknown preset"):
         CAMPAIGNS[name][0](small)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from applied_remedies import apply_remedy
 from campaign_files import Files
 from fresh_setups import write_campaign
 from record_mistakes import RECORD_MISTAKES, changed
@@ -26,6 +27,9 @@ def all_said(folder: Path) -> str:
         ("output_off", "triad", 3), ("output_stuck", "triad", 3), ("output_copied", "triad", 3),
         ("rate_times", "gyro", 1),
         ("decimal_of_a_rate", "gyro", 2),
+        ("rates_in_reverse", "gyro", 3), ("rates_of_five_rows", "gyro", 3), ("all_of_a_kind_in_a_run", "imu", 3),
+        ("column_in_volt", "gyro", 3), ("sign_about_an_offset", "gyro", 3), ("offset_not_stated", "gyro", 3),
+        ("kinds_exchanged", "imu", 3),
     ],
 )  # fmt: skip
 def test_a_wrong_record_is_named(kind: str, bench: str, seed: int, tmp_path: Path):
@@ -35,6 +39,25 @@ def test_a_wrong_record_is_named(kind: str, bench: str, seed: int, tmp_path: Pat
     text = all_said(tmp_path / bench)
     assert all(each in text for each in named), (named, text)
     assert "Fahrenheit" not in text
+
+
+@pytest.mark.parametrize(
+    ("kind", "bench", "seed"),
+    [
+        ("rates_in_reverse", "gyro", 4), ("column_in_volt", "gyro", 4), ("sign_about_an_offset", "gyro", 4),
+        ("offset_not_stated", "gyro", 4), ("decimal_of_a_rate", "gyro", 4), ("rate_times", "gyro", 4),
+        ("output_off", "triad", 4), ("sign_in_one_row", "triad", 4), ("scale_ten_times", "triad", 4),
+    ],
+)  # fmt: skip
+def test_the_line_that_is_asked_for_lets_the_campaign_agree(kind: str, bench: str, seed: int, tmp_path: Path):
+    write_campaign(tmp_path / bench, bench, seed)
+    RECORD_MISTAKES[kind](Files(tmp_path / bench), np.random.default_rng([seed, 5]))
+    found = inspect_campaign(tmp_path / bench)
+    remedies = [each.remedy for each in (found.issues or found.findings) if "turn longer" not in each.remedy]
+    assert remedies
+    for remedy in remedies:
+        assert apply_remedy(Files(tmp_path / bench), remedy), remedy
+    assert all_said(tmp_path / bench) == ""
 
 
 def test_degrees_fahrenheit_are_named_where_they_do_as_well_as_any_value(tmp_path: Path):

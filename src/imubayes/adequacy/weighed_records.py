@@ -166,11 +166,17 @@ def wrong_record(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarra
         quantity = _outputs(campaign, wrong)
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
     return WrongRecord(
-        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind,
+        run=run.name, row=None if wrong.row is None else wrong.row + 1, kind=kind, about=_about(campaign, wrong),
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
     )  # fmt: skip
+
+
+def _about(campaign: Campaign, wrong: WrongInput) -> float:
+    """Return the offset that a factor on the outputs of one channel leaves as it is; 0 of all else."""
+    of_outputs = wrong.form == "output_factor" and wrong.channel is not None
+    return campaign.channels[wrong.channel or 0].offset if of_outputs else 0.0
 
 
 def _narrow_prior(fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float) -> WrongRecord:

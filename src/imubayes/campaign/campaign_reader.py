@@ -275,6 +275,11 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
+    # One block for one mistake: what a column alone shows is said with the evidence of the outputs, if they show it.
+    told = {(finding.name, finding.run) for finding in found}
+    findings = [
+        finding for finding in findings if finding.severity == "error" or (finding.name, finding.run) not in told
+    ]
     units, wrong = _problems(findings), _problems(found)
     if units and not any(map(_explains_units, found)):
         return Inspection(None, units, tuple(findings))

@@ -168,7 +168,7 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
         return [Finding(name, "error", run, what, place, expected, remedy)]
     if slope < 0:
         what = f"channel '{channel.name}' responds to its nominal input with reversed sign (slope {slope:.3g})"
-        remedy = "check input_axis, the mounting and the sign of the rate"
+        remedy = "check input_axis, the mounting and the sign of the rate or of the current"
         return [Finding("sign_reversed", "warning", run, what, place, expected, remedy)]
     if not ORDINARY[0] <= slope <= ORDINARY[1]:
         what = f"channel '{channel.name}' responds with {slope:.3g} times its nominal scale factor"

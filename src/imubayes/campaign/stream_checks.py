@@ -42,17 +42,18 @@ FINDINGS: dict[str, str] = {
     "axes_do_not_fit": "gyros and accelerometers are inconsistent: axes are exchanged or reversed",
     "latitude_sign": "the gyros show the Earth rate of the other hemisphere",
     "latitude_value": "the gyros show the Earth rate of another latitude",
-    "temperature_unit": "temperatures are in degrees Fahrenheit",
+    "temperature_unit": "temperatures are in degrees Fahrenheit, or lack their sign",
     "thermometers_exchanged": "the temperatures of sensor and converter are exchanged",
     "temperature_reversed": "a column of temperatures runs backwards in time",
     "temperature_value": "the outputs of a run belong to another temperature",
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
     "outputs_apart": "the outputs of a channel in a run do not belong to this channel",
-    "output_offset": "the outputs of a channel are off by the same amount in all rows of a run",
+    "output_offset": "the outputs of a channel are off by the same amount in all rows of a run, or in all runs",
     "rate_without_sign": "the rates of a run are recorded without their sign",
-    "rates_exchanged": "the rates of two rows are exchanged",
+    "rates_exchanged": "the rates of rows of a run are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
+    "reference_unit": "the rates of a reference gyro have another sign or unit",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
     "mountings_exchanged": "two mountings are exchanged",
@@ -61,6 +62,8 @@ FINDINGS: dict[str, str] = {
     "table_reversed": "the table turns against the stated sense",
     "table_zero": "the zero of the table angle is off",
     "axis_zero": "the zero of the outer or middle axis of a table is off",
+    "axis_reversed": "the outer or middle axis of a table turns against the stated sense",
+    "axis_columns": "the columns of two axes of a table are exchanged",
     "table_elevation": "the elevation of the axis of a table is wrong",
     "table_azimuth": "the azimuth of the axis of a table is wrong",
     "axes_exchanged": "channels are exchanged",
@@ -92,8 +95,8 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
 """Findings of wrong units of outputs in single runs, which may be what a mistake `LIKE_UNITS` looks like there."""
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
-    "table_zero", "axis_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
-    "rates_missing", "rate_without_sign",
+    "table_zero", "axis_zero", "axis_reversed", "axis_columns", "table_elevation", "table_reversed", "axes_exchanged",
+    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit",
 )  # fmt: skip
 
 

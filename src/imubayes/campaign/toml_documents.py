@@ -6,6 +6,7 @@ so a scanner finds them.  It reads headers and keys only; it follows brackets an
 inside of a multi-line value for a key.
 """
 
+import difflib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from imubayes.campaign.file_schemas import FORMS, PATTERNS
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 
 KeyPath = tuple[str | int, ...]
+_MISSPELT = 0.8  # least similarity of a key to the one that is meant: one letter of six
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*(\]\]?)\s*(#.*)?$")
 _KEY = re.compile(r"""^\s*((?:"[^"]*"|'[^']*'|[A-Za-z0-9_\-]+)(?:\s*\.\s*(?:"[^"]*"|'[^']*'|[A-Za-z0-9_\-]+))*)\s*=""")
@@ -144,6 +146,7 @@ def read_document[Record: BaseModel](file: Path, record: type[Record]) -> Docume
 
 def validated[Record: BaseModel](content: dict[str, Any], record: type[Record], ledger: Ledger) -> Document[Record]:
     """Return what a file, or a mapping with the keys of one, says; structural faults go to the ledger."""
+    content = _as_meant(content, record, ledger)
     try:
         entry = record.model_validate(content)
     except ValidationError as error:
@@ -151,6 +154,20 @@ def validated[Record: BaseModel](content: dict[str, Any], record: type[Record], 
             _add_fault(ledger, record, content, fault)
         return Document(content, None, ledger)
     return Document(content, entry, ledger)
+
+
+def _as_meant(content: dict[str, Any], record: type[BaseModel], ledger: Ledger) -> dict[str, Any]:
+    """Return the content with each misspelt section under the name that it is meant to have, and report it.
+
+    What the section holds is then read, and no fault follows from its absence.
+    """
+    found = dict(content)
+    for key in [key for key in content if key not in record.model_fields]:
+        near = difflib.get_close_matches(key, record.model_fields, n=1, cutoff=_MISSPELT)
+        if near and near[0] not in found:
+            ledger.add(f"unknown key '{key}'", (key,), near[0], f"write '{near[0]}' in place of '{key}'")
+            found[near[0]] = found.pop(key)
+    return found
 
 
 def plain_content(value: Any) -> Any:

@@ -55,6 +55,8 @@ ANGLE_UNITS = {
 }  # fmt: skip
 """Units of angle in degrees."""
 
+OPPOSITE = "with the opposite sign"
+
 
 def celsius[Number: (float, np.ndarray)](fahrenheit: Number) -> Number:
     """Return a temperature in °C from degrees Fahrenheit."""
@@ -99,6 +101,7 @@ class WrongRecord(Record):
     probability : among all that was weighed with it.
     other : of an exchange, the name of the other run; empty otherwise.
     kind : of the channel concerned, if it is one.
+    about : offset of the outputs that a factor leaves as it is, output units.
     """
 
     run: str = ""
@@ -112,6 +115,7 @@ class WrongRecord(Record):
     probability: float = 1.0
     other: str = ""
     kind: str = ""
+    about: float = 0.0
 
     def agrees_with(self, other: "WrongRecord") -> bool:
         """Return whether another hypothesis is the same: what is wrong, and its value within the uncertainties."""
@@ -149,7 +153,8 @@ def _named(each: WrongRecord) -> Iterator[NamedValue]:
     if each.form == "offset" and each.unit == "degC" and each.recorded is not None:
         replaced = "replace T by (T - 32) / 1.8 in {}"
         yield NamedValue("in degrees Fahrenheit", celsius(each.recorded), 0.0, replaced)
-    opposite = NamedValue("with the opposite sign", -1.0, SCALE_OF_KIND, "reverse the sign of {}")
+        yield NamedValue(OPPOSITE, -each.recorded, 0.0, "reverse the sign of {}")
+    opposite = NamedValue(OPPOSITE, -1.0, SCALE_OF_KIND, "reverse the sign of {}")
     if each.form == "factor":
         yield opposite
         if "rate" in each.quantity:
@@ -214,6 +219,10 @@ def correction(each: WrongRecord) -> str:
     if each.form == "prior" or not each.run:
         return ""
     run, named, where = f"run '{each.run}'", each.named, _cells(each)
+    if each.about and each.form == "output_factor":
+        if named is not None and named.name == OPPOSITE:
+            return f"replace y by {2 * each.about:g} - y in {where}"
+        return f"replace y by {each.about:g} + {_value(each)} (y - {each.about:g}) in {where}"
     if named is not None and named.correction:
         return named.correction.format(where)
     several = len(each.agreeing) > 1 or each.quantity == "outputs"

@@ -4,8 +4,8 @@ Of those that explain the outputs equally well the first is named.  A new mistak
 words in `remedies` or `record_remedies`, and its name in `campaign.stream_checks`.
 """
 
+from imubayes.campaign.setup_gate.axis_mistakes import AxisColumns, AxisSense, AxisZero
 from imubayes.campaign.setup_gate.equipment_mistakes import (
-    ChannelsExchanged,
     FilesExchanged,
     Mistake,
     MountingTurned,
@@ -15,18 +15,17 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
     TableZero,
     TimeShift,
 )
-from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit, SamplesFewer
 from imubayes.campaign.setup_gate.mounting_mistakes import (
     InputAxisWrong,
     MountingMislabelled,
     MountingsExchanged,
     MountingWrong,
 )
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
-from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, ChannelsExchanged, KindsExchanged
+from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.campaign.setup_gate.reading_mistakes import (
     AngleUnit,
-    AxisZero,
     ChannelGain,
     LatitudeSign,
     LatitudeValue,
@@ -45,9 +44,10 @@ from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 
 MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
-    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
-    AxisZero, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates, RateFactor,
+    TableElevation, TableAzimuth, ChannelsExchanged, KindsExchanged, TimeShift, MountingWrong, InputAxisWrong,
+    AxisZero, AxisSense, AxisColumns, ReferenceUnit, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates,
+    RateFactor,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
-    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit,
+    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit, SamplesFewer,
 )  # fmt: skip

@@ -29,6 +29,8 @@ RIGHT_ANGLES = math.pi / 2, -math.pi / 2, math.pi
 DECISIVE = 25.0
 """Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
 some thousand suspected mistakes and priors of 1 in 100."""
+DOUBTED = 10
+"""Runs that agree least with the others, whose temperatures and files are doubted: pairs of them are tried as well."""
 RIVALLED = 49.0
 """Gain per channel beyond which a mistake is said, as a warning, although other biases in a run explain the outputs as
 well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
@@ -68,9 +70,10 @@ class Mistake(ABC):
     size of most evidence is the best, not that of least misfit.  The search for it ends where twice the log likelihood
     changes by less than `settled`: a hundredth is a tenth of a standard deviation of the size.
 
-    `gross` is whether it is looked for where the outputs are beyond plausible errors.  `of_doubted_runs` is whether it
-    is looked for in the runs alone that agree least with the others.  A size that is `estimated` is refined and has an
-    uncertainty.  One below `least` is not said where plausible errors would explain the outputs as well.
+    `gross` is whether it is looked for where the outputs are beyond plausible errors.  `of_doubted_runs` is in how many
+    of the runs that agree least with the others it is looked for, and there alone; 0 for all.  A size that is
+    `estimated` is refined and has an uncertainty.  One below `least` is not said where plausible errors would explain
+    the outputs as well.
     """
 
     scope: Scope
@@ -85,7 +88,7 @@ class Mistake(ABC):
     rarity: ClassVar[float] = 0.0
     gross: ClassVar[bool] = True
     concealed: ClassVar[Concealed] = Concealed.NEVER
-    of_doubted_runs: ClassVar[bool] = False
+    of_doubted_runs: ClassVar[int] = 0
     estimated: ClassVar[bool] = False
     least: ClassVar[float] = 0.0
 
@@ -138,6 +141,10 @@ class Mistake(ABC):
         This one is named first, unless the other is like it as well.
         """
         return False
+
+    def rivals(self) -> Iterator["Mistake"]:
+        """Yield the mistakes that look like this one, and are tried where it explains the outputs."""
+        return iter(())
 
     def removed(self, views: Sequence[RunView], size: float) -> list[RunView]:
         """Return the runs of a campaign without the mistake."""
@@ -403,39 +410,6 @@ class TableAzimuth(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the axis turned."""
         return changed(views[place], azimuth=views[place].azimuth + size)
-
-
-@dataclass(frozen=True)
-class ChannelsExchanged(Mistake):
-    """Channels of one kind are exchanged: channel `order[i]` is in the column of channel `places[i]`."""
-
-    places: tuple[int, ...]
-    order: tuple[int, ...]
-    kind: ClassVar[str] = "axes_exchanged"
-    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
-
-    @property
-    def unlikelihood(self) -> float:
-        """Cables are exchanged for all runs, or columns in one file."""
-        return 10.0 if self.scope.section == "run" else 0.0
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every pair and, of three channels, both cycles; in all runs or one."""
-        for kind in ("gyro", "accelerometer"):
-            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
-            orders = [((a, b), (b, a)) for a, b in itertools.combinations(places, 2)]
-            orders += [((a, b, c), turned) for a, b, c in itertools.combinations(places, 3)
-                       for turned in ((b, c, a), (c, a, b))]  # fmt: skip
-            scopes = [all_runs(range(len(views))), *single_runs(views, False)]
-            for scope, (before, after) in itertools.product(scopes, orders):
-                yield cls(scope, before, after)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the columns in order."""
-        observed = views[place].observed.copy()
-        observed[:, list(self.order)] = views[place].observed[:, list(self.places)]
-        return changed(views[place], observed=observed)
 
 
 def _is_static(view: RunView) -> bool:

@@ -1,13 +1,16 @@
-"""Mistakes of whole files: a run of another unit."""
+"""Mistakes of a run as a whole: it is of another unit, or its rows are means of fewer samples than stated."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed, Mistake, Scope, single_runs
-from imubayes.campaign.setup_gate.setup_view import RunView
+import numpy as np
+
+from imubayes.campaign.setup_gate.equipment_mistakes import DOUBTED, RIVALLED, Concealed, Mistake, Scope, single_runs
+from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.wrong_records import WrongRecord
+from imubayes.foundations.wrong_records import OPEN, WrongRecord
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class OtherUnit(Mistake):
 
     kind: ClassVar[str] = "other_unit"
     concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
-    of_doubted_runs: ClassVar[bool] = True
+    of_doubted_runs: ClassVar[int] = DOUBTED
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
@@ -44,6 +47,53 @@ class OtherUnit(Mistake):
         """Return that the run is of another unit."""
         return WrongRecord(run=self.scope.name, form="unit", quantity="unit", unit="1", recorded=None, agreeing=())
 
+    def rivals(self) -> Iterator[Mistake]:
+        """Yield that the rows scatter more than their stated count of samples allows."""
+        yield SamplesFewer(self.scope)
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run as it is."""
         return views[place]
+
+
+_FEWER = tuple(math.log(each) for each in (2.0, 5.0, 12.0, 30.0, 75.0, 200.0, 500.0, 1200.0, 3000.0))
+_LEAST_FEWER = math.log(8.0)
+"""Logarithm of how many times as many samples are doubted: with fewer, the noise of a run is that of another day."""
+
+
+@dataclass(frozen=True)
+class SamplesFewer(Mistake):
+    """The rows of a run are means of fewer samples than stated; the size is the logarithm of the ratio.
+
+    Means that scatter more than their count allows look like those of another unit, of which it is a rival.
+    """
+
+    kind: ClassVar[str] = "samples_unlike"
+    by_evidence: ClassVar[bool] = True
+    rarity: ClassVar[float] = OPEN
+    gross: ClassVar[bool] = False
+    sizes: ClassVar[tuple[float, ...]] = _FEWER
+
+    def possible(self, size: float) -> bool:
+        """Return whether the count is beyond what another noise in the run explains, and within those tried."""
+        return _LEAST_FEWER < size < _FEWER[-1]
+
+    def stops(self, size: float) -> bool:
+        """Return that a fit goes on: it estimates the noise."""
+        return False
+
+    def bar(self, campaign: Campaign) -> float:
+        """Return what a noise of the run of its own would gain."""
+        return RIVALLED
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the count that agrees."""
+        stated = float(np.median(next(run.samples for run in campaign.runs if run.name == self.scope.name)))
+        return WrongRecord(
+            run=self.scope.name, form="samples", quantity="samples", unit="1", recorded=stated,
+            agreeing=(stated * math.exp(-size),),
+        )  # fmt: skip
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with fewer samples in each row."""
+        return changed(views[place], samples=views[place].samples * math.exp(-size))

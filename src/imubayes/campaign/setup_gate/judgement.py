@@ -13,9 +13,10 @@ import lazy_loader
 
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
+from imubayes.campaign.setup_gate.explanations import Explanation, equally_good
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
-from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Explanation, Search, equally_good
+from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Search
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
@@ -30,10 +31,6 @@ else:  # words for mistakes that are found
     record_remedies = lazy_loader.load("imubayes.campaign.setup_gate.record_remedies", suppress_warning=True)
     remedies = lazy_loader.load("imubayes.campaign.setup_gate.remedies", suppress_warning=True)
 
-_STEPS = 3
-_TURNED_FAR = 30.0
-"""Misfit per output up to which squares of plausible rotations may make it; a larger one is that of a mistake."""
-
 
 @dataclass(frozen=True)
 class Judgement:
@@ -44,11 +41,13 @@ class Judgement:
     mistakes : each with its equally good explanations, the best first; empty where there is none.
     misfit : of the set-up as stated, per output.
     unexplained : run → misfit per output of the runs that disagree, where no mistake explains it.
+    nearest : a mistake whose correction takes most of the misfit away, and does not let the campaign agree.
     """
 
     mistakes: tuple[tuple[Explanation, ...], ...] = ()
     misfit: float = 0.0
     unexplained: tuple[tuple[str, float], ...] = ()
+    nearest: Explanation | None = None
 
 
 def judge_setup(campaign: Campaign) -> Judgement:
@@ -59,29 +58,24 @@ def judge_setup(campaign: Campaign) -> Judgement:
     # Of tumbles a steady gyro tells one mistake from another where a poor one does not.
     tumbled = feels_the_earth_alone(campaign, search.views)
     tumbled = tumbled and not list(RatesMissing.suspected(campaign, search.views))
-    ordinary = search.ordinary or _turned_far(search)
+    ordinary = search.agrees
     single = [] if ordinary or tumbled else search.several_mistakes(1)
-    if single and _more_than_noise(search, single) and (possible := _sized(campaign, single[0])):
+    noisy = bool(single) and not _more_than_noise(search, single)
+    if single and not noisy and (possible := _sized(campaign, single[0])):
         return Judgement((possible,), search.misfit)
     if (hidden := hidden_mistakes(campaign)) and (possible := _sized(campaign, equally_good(hidden, DECISIVE))):
         return Judgement((possible,), search.misfit)
     if ordinary:
         return Judgement((), search.misfit)
-    if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
-        return Judgement(tuple(found), search.misfit)
-    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
+    if not noisy and (found := _several(search)):
+        return Judgement(found, search.misfit)
+    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()), nearest=search.nearest)
 
 
-def _turned_far(search: Search) -> bool:
-    """Whether a campaign shows what its set-up says about mountings and tables that plausible errors turn far.
-
-    Squares of rotations by some degrees are beyond what a model that is linear about zero leaves out.
-    """
-    if search.misfit > _TURNED_FAR:
-        return False
-    for _ in range(_STEPS):
-        search = Search(search.campaign, views=search.views, centre=search.model.estimates(search.total))
-    return search.ordinary
+def _several(search: Search) -> tuple[tuple[Explanation, ...], ...]:
+    """Return the mistakes that explain the outputs together, and more than larger noise would; empty without any."""
+    found = search.several_mistakes(MOST_MISTAKES)
+    return tuple(found) if found and _more_than_noise(search, found) else ()
 
 
 def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -> bool:
@@ -97,6 +91,7 @@ def _sized(campaign: Campaign, equal: tuple[Explanation, ...]) -> tuple[Explanat
     return tuple(each for each in found if each.mistake.possible(each.size))
 
 
+_FOLLOWING = "outputs that follow the nominal input"
 _MOST_RUNS = 5
 _MOST_ALTERNATIVES = 5
 
@@ -112,10 +107,14 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
     rows = wrong_rows(campaign)
     said = [_of_row(campaign, each, places) for each in rows]
     judged = judge_setup(with_rows(campaign, rows))
+    for equal in judged.mistakes:
+        said.append(_explained(campaign, equal, places, accepted))
+        campaign = remedies.with_scale(campaign, equal[0])
     if judged.mistakes:
-        return [*said, *(_explained(campaign, equal, places, accepted) for equal in judged.mistakes)]
+        return said
     return [
         *said,
+        *([] if judged.nearest is None else [_not_explained(campaign, judged.nearest, places)]),
         *(_unexplained(name, misfit, places.table(name)) for name, misfit in judged.unexplained[:_MOST_RUNS]),
     ]
 
@@ -174,13 +173,28 @@ def _stops(equal: tuple[Explanation, ...]) -> bool:
     return sure and all(each.mistake.stops(each.size) for each in equal)
 
 
+def _not_explained(campaign: Campaign, nearest: Explanation, places: Places) -> Finding:
+    """Return that the mistake that comes nearest was corrected, and the campaign does not agree with that."""
+    record = nearest.mistake.wrong_record(campaign, nearest.size, nearest.uncertainty)
+    words = _words(campaign, nearest, record, places)
+    what = (
+        f"the nearest mistake does not explain the outputs: {words.what}.  With that corrected they differ by about "
+        f"{math.sqrt(nearest.misfit):.2g} times the amount that errors of unit and equipment allow"
+    )
+    run = nearest.mistake.scope.name if nearest.mistake.scope.section == "run" else ""
+    remedy = "check mounting, table, units and files: several of them may be wrong"
+    return Finding(
+        "setup_disagrees", "warning", run, what, words.where, "outputs that follow the nominal input", remedy
+    )
+
+
 def _unexplained(run: str, misfit: float, where: str) -> Finding:
     what = (
         f"the outputs differ from the prediction of the set-up by about {math.sqrt(misfit):.2g} times the amount that "
         "errors of unit and equipment allow, and no single mistake in the set-up explains this"
     )
     remedy = "check mounting, table, units and files of the run"
-    return Finding("setup_disagrees", "warning", run, what, where, "outputs that follow the nominal input", remedy)
+    return Finding("setup_disagrees", "warning", run, what, where, _FOLLOWING, remedy)
 
 
 SETUP_FINDINGS = tuple(dict.fromkeys(each.kind for each in MISTAKES))

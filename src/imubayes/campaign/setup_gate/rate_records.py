@@ -1,7 +1,8 @@
 """The rates of a table that were recorded without their signs, or not at all: the gyros tell them row by row.
 
-The open value of a column of rates is a rate for each row.  It has two points with a name: the recorded rates with the
-signs that the gyros show, and a column that holds nothing but zeros.
+The open value of a column of rates is a rate for each row.  Points with a name are the recorded rates with the signs
+that the gyros show, or in another order, and a column that holds nothing but zeros.  The rates of a reference gyro may
+have another sign or unit.
 """
 
 import math
@@ -12,11 +13,14 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.reading_mistakes import ChannelGain
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.wrong_records import RATE_UNITS, SCALE_OF_KIND
 
 _LEAST_RATE = math.radians(0.5)  # rad/s, of rows that count as turning
 _LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that tells its rate
+_SAME_FACTOR = 0.02  # relative difference of units that are one
 _AS_RECORDED = 0.2  # relative difference of rates that are alike but for the sign
 
 
@@ -68,34 +72,101 @@ class RateWithoutSign(Mistake):
 
 @dataclass(frozen=True)
 class RatesExchanged(Mistake):
-    """The rates of two rows of a run are exchanged; `rows` are their places from 0, of `among` rows."""
+    """The rates of some rows of a run are exchanged among them: row `order[k]` holds the rate of row k.
 
-    rows: tuple[int, int]
-    among: int
+    Two rows, and all rows in reverse, are points on any other order.
+    """
+
+    order: tuple[int, ...]
     kind: ClassVar[str] = "rates_exchanged"
 
     @property
+    def rows(self) -> tuple[int, ...]:
+        """Places of the rows that hold the rate of another one, from 0."""
+        return tuple(k for k, place in enumerate(self.order) if k != place)
+
+    @property
+    def reverse(self) -> bool:
+        """Whether all rows are in reverse."""
+        return self.order == tuple(reversed(range(len(self.order))))
+
+    @property
     def unlikelihood(self) -> float:
-        """The rows are chosen by the outputs."""
-        return 2 * math.log(self.among * (self.among - 1) / 2)
+        """The order is chosen by the outputs, among all of so many rows."""
+        among, moved = len(self.order), len(self.rows)
+        return 0.0 if self.reverse else 2 * (math.lgamma(among + 1) - math.lgamma(among - moved + 1) - math.log(2))
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the runs in which two rows alone are off, and each has about the rate of the other."""
+        """Yield the runs in which the rows that are off have the rates of each other."""
         for scope in single_runs(views):
             view = views[scope.runs[0]]
             shown = shown_rates(campaign, view)
             if shown is None:
                 continue
+            if view.rows > 2 and _alike(shown, view.rate[::-1]).all() and not _alike(shown, view.rate).all():
+                yield cls(scope, tuple(reversed(range(view.rows))))
+                continue
             off = np.flatnonzero(~_alike(shown, view.rate))
-            if len(off) == 2 and _alike(shown[off], view.rate[off[::-1]]).all():
-                yield cls(scope, (int(off[0]), int(off[1])), view.rows)
+            source = np.empty(len(off), dtype=int)
+            source[np.argsort(shown[off], kind="stable")] = off[np.argsort(view.rate[off], kind="stable")]
+            if len(off) > 1 and _alike(shown[off], view.rate[source]).all():
+                order = np.arange(view.rows)
+                order[off] = source
+                yield cls(scope, tuple(order.tolist()))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the two rates in their places."""
-        view, order = views[place], np.arange(self.among)
-        order[list(self.rows)] = self.rows[::-1]
+        """Return the run with the rates in their places."""
+        view, order = views[place], list(self.order)
         return changed(view, rate=view.rate[order], span=view.span[order])
+
+
+@dataclass(frozen=True)
+class ReferenceUnit(Mistake):
+    """The rates of a reference gyro have the opposite sign about one axis, or all are in another `unit`.
+
+    Gyros that are all held against it may be wrong in the same way.
+
+    Attributes
+    ----------
+    axes : of the reference gyro that are concerned.
+    """
+
+    axes: tuple[int, ...]
+    factor: float
+    unit: str
+    kind: ClassVar[str] = "reference_unit"
+
+    @property
+    def variant(self) -> str:
+        """The axes and the unit."""
+        return f"{self.axes} {self.unit}"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A reference is that of all runs."""
+        return SCALE_OF_KIND if self.scope.section == "run" else 0.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield each axis reversed and every unit, in all runs beside a reference gyro or one."""
+        beside = [k for k, view in enumerate(views) if view.reference is not None]
+        scopes = [all_runs(beside), *(Scope("run", views[k].name, (k,)) for k in beside)] if beside else []
+        for scope in scopes:
+            yield from (cls(scope, (axis,), -1.0, "") for axis in range(3))
+            yield from (cls(scope, (0, 1, 2), factor, unit) for unit, factor in RATE_UNITS.items())
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sign or the unit of gyros that does the same."""
+        if not isinstance(other, ChannelGain) or other.scope.runs != self.scope.runs:
+            return False
+        return abs(other.factor / self.factor - 1) < _SAME_FACTOR
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the rates of the reference converted."""
+        reference = views[place].reference
+        assert reference is not None
+        return changed(views[place], reference=reference * np.where(np.isin(range(3), self.axes), self.factor, 1.0))
 
 
 def _alike(shown: np.ndarray, recorded: np.ndarray) -> np.ndarray:

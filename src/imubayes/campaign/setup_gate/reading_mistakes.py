@@ -1,7 +1,7 @@
-"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros and the latitude.
+"""Set-up mistakes in units, signs, scale factors, table rates and the latitude.
 
-Units and signs may be wrong for channels and for the columns of rate and angle.  On a table of several axes, the zero
-of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.
+Units and signs may be wrong for channels and for the columns of rate and angle.  A wrong latitude shows where gyros
+feel the Earth turn.
 
 Nominal scale factors, and rates of a table, may be wrong by a factor that is no unit's.  An input that is too small
 everywhere is imitated by a response that is: the accelerometer on an axis raised to 60° reads half of what it would on
@@ -12,14 +12,13 @@ that a smaller scale factor gains nothing over another input but what the output
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
     DECISIVE,
-    RIGHT_ANGLES,
     Concealed,
     Mistake,
     Scope,
@@ -44,46 +43,6 @@ from imubayes.foundations.wrong_records import (
     SCALE_OF_KIND,
     WrongRecord,
 )
-
-OUTER = ("outer", "middle")
-
-
-@dataclass(frozen=True)
-class AxisZero(Mistake):
-    """The zero of the outer or of the middle axis of a table is off in all its runs."""
-
-    axis: int
-    kind: ClassVar[str] = "axis_zero"
-    estimated: ClassVar[bool] = True
-    usual_within: ClassVar[float] = math.radians(3.5)
-    sizes: ClassVar[tuple[float, ...]] = tuple(np.radians(np.arange(-150, 181, 30)))
-
-    @property
-    def variant(self) -> str:
-        """The axis."""
-        return OUTER[self.axis]
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield both axes of every table that has them."""
-        for scope in tables_of(views):
-            if all(views[place].outer is not None for place in scope.runs):
-                yield cls(scope, 0)
-                if campaign.tables[scope.name].middle_axis is not None:
-                    yield cls(scope, 1)
-
-    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
-        """Return right angles."""
-        return RIGHT_ANGLES
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the zero moved."""
-        outer = views[place].outer
-        assert outer is not None
-        angle = outer.angle.copy()
-        angle[:, self.axis] += size
-        return changed(views[place], outer=replace(outer, angle=angle))
-
 
 _DEGREE = math.pi / 180
 
@@ -187,9 +146,14 @@ def driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bo
 def _groups(
     campaign: Campaign, kind: str, concerned: Callable[[Channel], bool] = lambda channel: True
 ) -> list[tuple[int, ...]]:
-    """Return the place of each channel of a kind that is concerned, and those of all."""
-    places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind and concerned(channel)]
-    return [*((k,) for k in places), *([tuple(places)] if len(places) > 1 else [])]
+    """Return the place of each channel of a kind that is concerned, those of all that are, and those of the kind.
+
+    A channel without input shows the unit of its bias.
+    """
+    every = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
+    places = [k for k in every if concerned(campaign.channels[k])]
+    together = dict.fromkeys([tuple(places), tuple(every)]) if places else {}
+    return [*((k,) for k in places), *(each for each in together if len(each) > 1)]
 
 
 def scale_of(channels: Sequence[str]) -> str:
@@ -198,15 +162,20 @@ def scale_of(channels: Sequence[str]) -> str:
 
 
 def output_factor(
-    campaign: Campaign, scope: Scope, places: Sequence[int], factor: float, sd: float
+    campaign: Campaign, scope: Scope, places: Sequence[int], factor: float, sd: float, about: float | None = None
 ) -> WrongRecord | None:
-    """Return that the outputs of one channel in a run agree times a factor; None of other scopes."""
+    """Return that the outputs of one channel in a run agree times a factor; None of other scopes.
+
+    Parameters
+    ----------
+    about : what the factor leaves as it is, output units; None is the offset of the channel.
+    """
     if scope.section != "run" or len(places) != 1:
         return None
     channel = campaign.channels[places[0]]
     return WrongRecord(
         run=scope.name, form="output_factor", quantity=channel.name, unit="1", recorded=1.0, agreeing=(factor,),
-        sd=(sd,) if sd else (), kind=channel.kind,
+        sd=(sd,) if sd else (), kind=channel.kind, about=channel.offset if about is None else about,
     )  # fmt: skip
 
 
@@ -329,9 +298,18 @@ _MOST_TURNS = 4
 _SAME_FACTOR = 0.02
 
 
+def _least_driven(scope: Scope, views: Sequence[RunView], channels: Sequence[Channel]) -> int:
+    """Return how many of some channels need an input to show their unit: in one of several runs biases show it."""
+    return 1 if scope.section == "run" and len(views) > 1 else min(2, len(channels))
+
+
 @dataclass(frozen=True)
 class ChannelGain(Mistake):
-    """Channels respond with a factor: another sign, or another unit (`units`)."""
+    """Channels respond with a factor: another sign, or another unit (`units`).
+
+    The factor leaves the `offsets` as they are: those of the channels where the scale factor is wrong, zero where the
+    column is in another unit.
+    """
 
     channels: tuple[str, ...]
     places: tuple[int, ...]
@@ -368,13 +346,14 @@ class ChannelGain(Mistake):
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
                 told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
-                if told < min(2, len(channels)):
+                if told < _least_driven(scope, views, channels):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
                 summed = {"sums for means": float(counts[0])} if len(counts) == 1 and counts[0] > 1 else {}
-                for units, factor in (factors | summed).items():
-                    yield cls(scope, names, group, offsets, factor, units)
+                about = dict.fromkeys([offsets, (0.0,) * len(group)] if scope.section == "run" else [offsets])
+                for (units, factor), fixed in itertools.product((factors | summed).items(), about):
+                    yield cls(scope, names, group, fixed, factor, units)
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is the sense of the table in the run, alike for the one gyro that turns.
@@ -387,7 +366,7 @@ class ChannelGain(Mistake):
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
         """Return the factor on the outputs of one channel in a run."""
-        return output_factor(campaign, self.scope, self.places, 1 / self.factor, 0.0)
+        return output_factor(campaign, self.scope, self.places, 1 / self.factor, 0.0, self.offsets[0])
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the outputs divided by the factor."""

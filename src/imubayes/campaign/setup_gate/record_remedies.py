@@ -9,12 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from imubayes.campaign.setup_gate import thermal_mistakes as thermal
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, repeats
+from imubayes.campaign.setup_gate.explanations import Explanation
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, repeats
 from imubayes.campaign.setup_gate.places import Places, subject_of
-from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
-from imubayes.campaign.setup_gate.search import Explanation
+from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.number_text import pretty
 from imubayes.foundations.wrong_records import WrongRecord, agreement_text, correction
 
 _MOST_ROWS = 12
@@ -79,14 +80,52 @@ def _unsigned(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
+def _offset(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, ChannelOffset)
+    mistake = found.mistake
+    channel = campaign.channels[mistake.place]
+    right = f"{channel.offset + found.size * mistake.largest:.5g}"
+    return Issue(
+        f"the outputs of channel '{mistake.channel}' lie about {right} {pretty(channel.output_unit)} in all runs, not "
+        f"about its offset, {channel.offset:g}",
+        places.line("channel", mistake.channel, "offset"),
+        "the output without input",
+        f"write offset = {right} for '{mistake.channel}', as exactly as it is known",
+    )
+
+
 def _swapped(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, RatesExchanged)
-    one, other = (row + 1 for row in found.mistake.rows)
+    mistake, file = found.mistake, places.file(found.mistake.scope.name)
+    rows = [str(row + 1) for row in mistake.rows]
+    listed = " and ".join(rows) if len(rows) == 2 else ", ".join(rows)
+    what = "of all rows are in reverse order" if mistake.reverse else f"of rows {listed} are exchanged"
+    sources = ", ".join(str(mistake.order[row] + 1) for row in mistake.rows)
+    mend = f"exchange 'table_rate_deg_s' of rows {listed} of {file}"
+    if mistake.reverse:
+        mend = f"reverse the order of 'table_rate_deg_s' in {file}"
+    elif len(rows) > 2:
+        mend = f"write 'table_rate_deg_s' of rows {sources} in rows {listed} of {file}"
     return Issue(
-        f"the rates of rows {one} and {other} are exchanged {subject_of(found.mistake)}",
-        places.column(found.mistake, "table_rate_deg_s"),
+        f"the rates {what} {subject_of(mistake)}",
+        places.column(mistake, "table_rate_deg_s"),
         "the rate of the table in the row itself",
-        f"exchange 'table_rate_deg_s' of rows {one} and {other} of {places.file(found.mistake.scope.name)}",
+        mend,
+    )
+
+
+def _reference(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, ReferenceUnit)
+    mistake, subject = found.mistake, subject_of(found.mistake)
+    columns = [f"'reference_{'xyz'[axis]}_deg_s'" for axis in mistake.axes]
+    listed, many = ", ".join(columns), len(columns) > 1
+    what = f"in {mistake.unit}" if mistake.unit else "reversed in sign"
+    mend = f"multiply {listed} by {mistake.factor:.8g}" if mistake.unit else f"reverse the sign of {listed}"
+    return Issue(
+        f"{'columns' if many else 'column'} {listed} {'are' if many else 'is'} {what} {subject}",
+        places.column(mistake, columns[0].strip("'")),
+        "rates of the reference gyro in axes of the body, degrees per second",
+        f"{mend} {subject}",
     )
 
 
@@ -110,6 +149,7 @@ _ALLOWED = {
     "output_factor": "outputs in 'output_unit', 'scale' of them per 'per'",
     "exchange": "the values of the run itself",
     "unit": "runs of one unit",
+    "samples": "the number of raw samples of each row",
 }
 
 
@@ -128,8 +168,10 @@ RECORD_REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "thermometers_exchanged": _thermometers,
     "temperature_reversed": _backwards,
     "outputs_apart": _apart,
+    "output_offset": _offset,
     "rate_without_sign": _unsigned,
     "rates_missing": _no_rates,
+    "reference_unit": _reference,
     "rates_exchanged": _swapped,
 }
 """Kind of mistake → how it is said."""

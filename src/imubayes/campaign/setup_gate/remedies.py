@@ -2,15 +2,17 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from imubayes.campaign.setup_gate import equipment_mistakes as bench
 from imubayes.campaign.setup_gate import mounting_mistakes as seats
+from imubayes.campaign.setup_gate import output_mistakes as outputs
 from imubayes.campaign.setup_gate import reading_mistakes as reading
+from imubayes.campaign.setup_gate.explanations import Explanation
 from imubayes.campaign.setup_gate.places import Places, subject_of
 from imubayes.campaign.setup_gate.record_remedies import RECORD_REMEDIES
-from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
 
@@ -55,6 +57,30 @@ def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         places.column(found.mistake, column),
         "angles from the zero, at which the axes are as the table states them",
         f"add {_folded(-off):+g} to column '{column}' {subject_of(found.mistake)}",
+    )
+
+
+def _axis_sense(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    axis, *names = found.mistake.variant.split()
+    columns = [f"{axis}_{'angle_deg' if name == 'angle' else 'rate_deg_s'}" for name in names]
+    what = f"the {axis} axis turns against the stated sense"
+    if len(columns) == 1:
+        what = f"column '{columns[0]}' has the opposite sign"
+    return Issue(
+        f"{what} {subject_of(found.mistake)}",
+        places.column(found.mistake, columns[0]),
+        "rates and angles right-handed about the axis",
+        f"reverse the sign of {' and '.join(f"'{each}'" for each in columns)} {subject_of(found.mistake)}",
+    )
+
+
+def _axis_columns(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    first, second = found.mistake.variant.split()
+    return Issue(
+        f"the columns of the axes '{first}' and '{second}' are exchanged {subject_of(found.mistake)}",
+        places.column(found.mistake, f"{first}_angle_deg"),
+        "angles and rates of each axis in its own columns",
+        f"exchange the columns '{first}_…' and '{second}_…' {subject_of(found.mistake)}",
     )
 
 
@@ -206,7 +232,7 @@ def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> I
 
 def _channels(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, bench.ChannelsExchanged)
+    assert isinstance(mistake, outputs.ChannelsExchanged)
     pairs = [(campaign.channels[a].name, campaign.channels[b].name) for a, b in
              zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
     columns = ", ".join(f"'{name}'" for name, _ in pairs)
@@ -227,6 +253,31 @@ def _unit_and_factor(found: Explanation) -> tuple[str, float]:
     return found.mistake.units(found.size) or f"{factor:g} times its nominal scale", factor
 
 
+def _about(campaign: Campaign, found: Explanation) -> str:
+    """Return the offsets that a change of outputs leaves as they are; empty without any."""
+    mistake = found.mistake
+    assert isinstance(mistake, (reading.ChannelGain, reading.NominalScale))
+    gain = isinstance(mistake, reading.ChannelGain)
+    offsets = mistake.offsets if gain else tuple(campaign.channels[place].offset for place in mistake.places)
+    return f", each less its offset, {', '.join(f'{each:g}' for each in offsets)}" if any(offsets) else ""
+
+
+def with_scale(campaign: Campaign, found: Explanation) -> Campaign:
+    """Return the campaign with the scale factors that a mistake asks for.
+
+    The line of the next mistake of the same channels starts from them, and so holds the product.
+    """
+    mistake = found.mistake
+    if not isinstance(mistake, (reading.ChannelGain, reading.NominalScale)) or mistake.scope.section == "run":
+        return campaign
+    units, factor = _unit_and_factor(found)
+    channels = tuple(
+        replace(each, scale=each.scale * factor) if units and each.name in mistake.channels else each
+        for each in campaign.channels
+    )
+    return replace(campaign, channels=channels)
+
+
 def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, (reading.ChannelGain, reading.NominalScale))
@@ -242,7 +293,8 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         return Issue(
             f"{noun} {names} {verb} reversed in sign {subject}", where,
             "outputs that rise with the input along input_axis",
-            f"reverse the sign of the columns {names} {subject}" if run else f"write {axes} (and reverse output_axis)",
+            f"reverse the sign of the columns {names} {subject}{_about(campaign, found)}" if run
+            else f"write {axes} (and reverse output_axis)",
         )  # fmt: skip
     scales = "; ".join(f"scale = {c.scale * factor:.6g} for '{c.name}'" for c in chosen)
     large = factor > 1
@@ -250,7 +302,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     return Issue(
         f"{noun} {names} {verb} {size} {subject} ({units})", where,
         "outputs in 'output_unit', 'scale' of them per 'per'",
-        f"divide the columns {names} by {factor:.6g} {subject}" if run
+        f"divide the columns {names} by {factor:.6g} {subject}{_about(campaign, found)}" if run
         else f"write {scales}, or correct 'per', or divide the columns by {factor:.6g}",
     )  # fmt: skip
 
@@ -322,6 +374,8 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = RECORD_R
     "table_reversed": _sense,
     "table_zero": _zero,
     "axis_zero": _axis_zero,
+    "axis_reversed": _axis_sense,
+    "axis_columns": _axis_columns,
     "mounting_turned": _turned,
     "table_elevation": _elevation,
     "table_azimuth": _azimuth,

@@ -6,14 +6,14 @@ Evidence of the set-up as stated is compared with that of every suspected correc
 import copy
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, Mistake, Scope
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, Mistake
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -22,6 +22,14 @@ from imubayes.campaign.setup_gate.error_model import (
     stacked_terms,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel
+from imubayes.campaign.setup_gate.explanations import (
+    Explanation,
+    alike_in_support,
+    distinct,
+    equally_good,
+    of_different_records,
+    told_by_name,
+)
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
 from imubayes.campaign.setup_gate.reading_mistakes import ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
@@ -38,123 +46,16 @@ MOST_MISTAKES = 3
 """Mistakes that are looked for together."""
 TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
-EQUIVALENT = 10.0
-"""Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
-ALIKE = 0.5
-"""Share of the gain of a mistake from which on one that is like it is told beside it."""
-NAMED_WITHIN = 12.0
-"""How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
+_STEPS = 3
+_TURNED_FAR = 30.0
+"""Misfit per output up to which squares of plausible rotations may make it; a larger one is that of a mistake."""
 _REFINEMENTS, _REMEMBERED = 4, 256
-_SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
 _SUSPECTS = 5  # runs whose own mistakes are tried
 _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
 
 type Identity = tuple[bytes | str | float, ...]
 type Key = tuple[int, Identity]
 """The place of a run, and what tells its corrected view from others."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A mistake and its size, and by how much its correction raises twice the log evidence.
-
-    Attributes
-    ----------
-    misfit : per output with the correction.
-    rival : gain of what passes for the mistake in a valid set-up.
-    stopping : support beyond which the mistake stops a fit.
-    uncertainty : standard deviation of the size; 0 where there is none.
-    """
-
-    mistake: Mistake
-    size: float
-    gain: float
-    misfit: float
-    rival: float = 0.0
-    stopping: float = DECISIVE
-    uncertainty: float = 0.0
-
-    @property
-    def support(self) -> float:
-        """The gain less what speaks against the mistake beforehand."""
-        return self.gain - self.mistake.unlikelihood
-
-    @property
-    def rivalled(self) -> bool:
-        """Whether the outputs do not tell the mistake from what passes for it in a valid set-up."""
-        return self.rival > 0 and self.gain < self.rival + DECISIVE
-
-
-def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tuple[Explanation, ...]:
-    """Return the best explanations, the first of each kind and scope, and those that are like them."""
-    best = max(each.support for each in found)
-    equal = [each for each in found if each.support >= best - within]
-    gained = [each for each in found if each.gain > ALIKE * max(other.gain for other in equal)]
-    like = [each for each in gained if any(each.mistake.like(other.mistake) for other in equal)]
-    first = [each for each in like if not any(other.mistake.like(each.mistake) for other in equal)]
-    return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
-
-
-def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
-    """Return explanations, of each record those with a name where they do as well as its open value, else the latter.
-
-    A name is a point on the open value: a wrong one is not forced upon a value that is near it.  Of names whose points
-    are near each other that nearest to the value is told.
-    """
-    records: dict[str, list[Explanation]] = {}
-    for each in found:
-        if each.mistake.record:
-            records.setdefault(each.mistake.record, []).append(each)
-    dropped = set[int]()
-    for alike in records.values():
-        names = [each for each in alike if not each.mistake.open_value]
-        for value in alike:
-            if value.mistake.open_value:
-                dropped |= {id(each) for each in _not_told(value, names)}
-    return [each for each in found if id(each) not in dropped]
-
-
-def _not_told(value: Explanation, names: Sequence[Explanation]) -> list[Explanation]:
-    """Return which of an open value and the names of its record are not to be told."""
-    names = [each for each in names if _holds(each.mistake, {*value.mistake.scope.runs})]
-    nearest = min((_apart(each, value) for each in names), default=math.inf)
-    near = [_apart(each, value) <= min(nearest + _SAME_POINT, 1.0) for each in names]
-    rest = [each for each, told in zip(names, near, strict=True) if not told]
-    if value.mistake.named(value.size):  # it has the name itself
-        return [*rest, *(each for each in names if each.mistake.point is not None)]
-    return [*rest, value] if any(near) else rest
-
-
-def _holds(named: Mistake, runs: set[int]) -> bool:
-    """Whether a named mistake is one of the record of these runs, and of others at most where its evidence tells."""
-    return {*named.scope.runs} == runs or (named.point is None and {*named.scope.runs} > runs)
-
-
-def _apart(named: Explanation, value: Explanation) -> float:
-    """Return how far a named mistake is from the value that the outputs show, over how far it may be."""
-    point = named.mistake.point
-    if point is None:
-        return 0.0 if named.gain >= value.gain - NAMED_WITHIN else math.inf
-    return abs(point - value.size) / value.mistake.usual_within
-
-
-def _of_different_records(chain: Sequence[tuple[Explanation, ...]]) -> bool:
-    """Whether no record is corrected twice: a second correction of it says that the first was none."""
-    return len({_corrects(equal[0].mistake) for equal in chain}) == len(chain)
-
-
-def _corrects(mistake: Mistake) -> tuple[str, Scope]:
-    return mistake.record or f"{mistake.kind} {mistake.variant}", mistake.scope
-
-
-def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
-    """Yield the first explanation of each kind and scope."""
-    seen = set()
-    for each in found:
-        key = (each.mistake.kind, each.mistake.scope, each.mistake.variant)
-        if key not in seen:
-            seen.add(key)
-            yield each
 
 
 class Search:
@@ -168,6 +69,7 @@ class Search:
         centre: np.ndarray | None = None,
     ):
         self.campaign = campaign
+        self.nearest: Explanation | None = None
         self.views = views_of(campaign) if views is None else tuple(views)
         if not self.views:
             return
@@ -201,23 +103,26 @@ class Search:
     def several_mistakes(self, most: int, tried: int = TRIED_FIRST) -> list[tuple[Explanation, ...]]:
         """Return the fewest mistakes that explain the outputs together; none where so many do not.
 
+        Where none does, the `nearest` is one whose correction takes most of the misfit away, and leaves too much.
+
         Parameters
         ----------
         most : mistakes together.
         tried : how many of the best are tried as the first of several.
         """
         found = told_by_name([each for each in self._suspected() if each.support > DECISIVE])
-        whole = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
-        if whole:
+        explaining = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
+        if whole := self._verified(explaining):
             return [equally_good(whole)]
+        self.nearest = max(explaining, key=lambda each: each.support, default=None)
         if most == 1:
             return []
         # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
-        partial = list(_distinct(sorted(found, key=lambda each: -each.support)))[:tried]
+        partial = list(distinct(sorted(found, key=lambda each: -each.support)))[:tried]
         corrected = [Search(self.campaign, views=each.mistake.removed(self.views, each.size)) for each in partial]
         further = [search.several_mistakes(most - 1, TRIED_NEXT) for search in corrected]
         chains = [[(each,), *rest] for each, rest in zip(partial, further, strict=True) if rest]
-        chains = [chain for chain in chains if _of_different_records(chain)]
+        chains = [chain for chain in chains if of_different_records(chain)]
         return min(chains, key=lambda chain: (len(chain), -sum(equal[0].support for equal in chain)), default=[])
 
     def _suspected(self) -> list[Explanation]:
@@ -235,6 +140,37 @@ class Search:
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
         return found.misfit < ORDINARY_MISFIT or left < (1 - LEAST_SHARE) * excess
+
+    def _verified(self, found: Sequence[Explanation]) -> list[Explanation]:
+        """Return the likeliest explanations whose correction, made in the campaign, lets it agree.
+
+        A correction that takes away nearly all of a gross misfit may leave a gross one: it is not the mistake.  One
+        that leaves a unit or a table poorer than its grade is taken if no other is left.
+        """
+        groups = [*alike_in_support(found)]
+        for group in groups:
+            agreeing = [each for each in group if self.corrected(each).agrees]
+            if agreeing:
+                return agreeing
+        poorer = ([each for each in group if each.misfit < ORDINARY_MISFIT] for group in groups)
+        return next(filter(None, poorer), [])
+
+    def corrected(self, found: Explanation) -> "Search":
+        """Return the campaign with a mistake corrected, judged again."""
+        return Search(self.campaign, views=found.mistake.removed(self.views, found.size))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the campaign shows what its set-up says, or what plausible errors that turn far make of it.
+
+        Squares of rotations by some degrees are beyond what a model that is linear about zero leaves out.
+        """
+        search = self
+        for _ in range(_STEPS):
+            if search.ordinary or search.misfit > _TURNED_FAR:
+                break
+            search = Search(search.campaign, views=search.views, centre=search.model.estimates(search.total))
+        return search.ordinary
 
     def passes_for_noise(self, mistake: Mistake) -> bool:
         """Whether errors as many times as large as the outputs of a mistaken unit explain as much.

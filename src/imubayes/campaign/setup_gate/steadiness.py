@@ -12,7 +12,7 @@ gyros lets the Earth rate show it.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -29,9 +29,10 @@ from imubayes.campaign.setup_gate.error_model import (
     weighted,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
+from imubayes.campaign.setup_gate.explanations import Explanation, told_by_name
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
 from imubayes.campaign.setup_gate.reading_mistakes import DECISIVE_LATITUDE, LatitudeSign
-from imubayes.campaign.setup_gate.search import ORDINARY_ERROR, Explanation, Search, told_by_name
+from imubayes.campaign.setup_gate.search import ORDINARY_ERROR, Search
 from imubayes.campaign.setup_gate.setup_view import RunView, feels_the_earth_alone, turns_through, views_of
 from imubayes.campaign.setup_gate.thermal_mistakes import OfTemperatures, TemperatureReversed, TemperatureValue
 from imubayes.foundations.campaign_data import Campaign
@@ -127,8 +128,6 @@ MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
 WORTH_TRYING = 4.0
 """Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
-DOUBTED = 10
-"""Runs that agree least with the others, whose temperatures and files are doubted: pairs of them are tried as well."""
 LEVELS = (
     (1.0, 1.0, 0), (3.0, 3.0, 0), (1.0, 1.0, 1), (1.0, 0.3, 2), (0.3, 0.3, 2), (1.0, 0.1, 3), (0.3, 0.1, 4),
     (1.0, 0.03, 5),
@@ -161,14 +160,19 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     levels = SteadinessLevels(campaign)
     first, stated = levels.of_most_evidence()
     views = levels[0].views
+    likeliest = levels.likeliest(_concealed(campaign, levels[first], views), first, stated)
+    likeliest += levels.likeliest([rival for each in likeliest for rival in each.mistake.rivals()], first, stated)
+    said = [each for each in _strongest(likeliest) if _is_sayable(each, campaign)]
+    return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
+
+
+def _concealed(campaign: Campaign, search: Search, views: Sequence[RunView]) -> list[Mistake]:
+    """Return the mistakes that plausible errors may conceal in a campaign."""
     one_input = feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views)
     where = Concealed.BY_ONE_INPUT if one_input else Concealed.BY_INPUTS
-    doubted, concealed = levels[first].suspects(DOUBTED), [kind for kind in MISTAKES if where in kind.concealed]
-    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
-    tried = levels.tried(suspected, first)
-    likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    said = [each for each in _strongest([*filter(None, likeliest)]) if _is_sayable(each, campaign)]
-    return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
+    kinds = [kind for kind in MISTAKES if where in kind.concealed]
+    doubted = {most: search.suspects(most) for most in {kind.of_doubted_runs for kind in kinds} if most}
+    return [each for kind in kinds for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
 
 
 def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
@@ -263,6 +267,11 @@ class SteadinessLevels:
             return None
         return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
 
+    def likeliest(self, mistakes: Sequence[Mistake], first: int, stated: float) -> list[Explanation]:
+        """Return the corrections of mistakes that explain something, each at its level of most evidence."""
+        found = zip(mistakes, self.tried(mistakes, first), strict=True)
+        return [*filter(None, (self.steadiest(mistake, own, stated) for mistake, own in found))]
+
     def tried(self, mistakes: Sequence[Mistake], first: int) -> list[list[Tried]]:
         """Return the correction of each mistake at each level, from the first, where it fits."""
         found: list[list[Tried]] = [[] for _ in mistakes]
@@ -289,10 +298,10 @@ def _most_misfit(mistake: Mistake) -> float:
     return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, OfTemperatures) else MOST_MISFIT_LEFT
 
 
-def _is_tried(mistake: Mistake, doubted: set[int]) -> bool:
+def _is_tried(mistake: Mistake, doubted: Mapping[int, set[int]]) -> bool:
     """Whether a mistake of elevation is that of a table as a whole, and one of whole records that of doubted runs."""
     if mistake.of_doubted_runs:
-        return doubted.issuperset(mistake.scope.runs)
+        return doubted[mistake.of_doubted_runs].issuperset(mistake.scope.runs)
     return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
 
 

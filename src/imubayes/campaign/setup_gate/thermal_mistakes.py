@@ -7,11 +7,11 @@ and rivals the mistakes that have a name: degrees Fahrenheit, exchanged columns,
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Concealed, Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.equipment_mistakes import DOUBTED, Concealed, Mistake, Scope, all_runs, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
@@ -76,28 +76,48 @@ class OfTemperatures(Mistake):
         )  # fmt: skip
 
 
+def _opposite(values: Any) -> Any:
+    return -values
+
+
+_NAMED: dict[str, Callable[[Any], Any]] = {"fahrenheit": celsius, "sign": _opposite}
+"""What a temperature was taken for → the temperature in °C."""
+_FREEZING = 2.0  # °C; nearer to zero a sign makes no difference
+
+
 @dataclass(frozen=True)
 class TemperatureUnit(OfTemperatures):
-    """Temperatures of a run are in degrees Fahrenheit.
+    """Temperatures of a run are in degrees Fahrenheit, or lack their sign (`how`).
 
     In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
     """
 
     names: tuple[str, ...]
+    how: str
     kind: ClassVar[str] = "temperature_unit"
+
+    @property
+    def variant(self) -> str:
+        """What the temperatures were taken for."""
+        return self.how
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield each thermometer of each run, and both."""
-        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
+        for names, how in itertools.product(((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)), _NAMED):
             for scope in _recorded(views, names):
-                mistake = cls(scope, names)
-                if scope.section == "run" and _among_others(mistake, views):
+                mistake = cls(scope, names, how)
+                if scope.section == "run" and mistake.changes(views) and _among_others(mistake, views):
                     yield mistake
+
+    def changes(self, views: Sequence[RunView]) -> bool:
+        """Return whether the correction is one: near zero a sign makes no difference."""
+        recorded = views[self.scope.runs[0]].temperatures
+        return self.how != "sign" or all(abs(float(np.mean(recorded[name]))) > _FREEZING for name in self.names)
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
         """Return the mean temperature in °C."""
-        return self._of_run(campaign, self.names, celsius, 0.0)
+        return self._of_run(campaign, self.names, _NAMED[self.how], 0.0)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its temperatures in °C."""
@@ -105,7 +125,8 @@ class TemperatureUnit(OfTemperatures):
         return changed(
             view,
             temperatures={
-                name: celsius(values) if name in self.names else values for name, values in view.temperatures.items()
+                name: _NAMED[self.how](values) if name in self.names else values
+                for name, values in view.temperatures.items()
             },
         )
 
@@ -171,7 +192,7 @@ class TemperatureValue(OfTemperatures):
     names: tuple[str, ...]
     reach: tuple[float, float]
     kind: ClassVar[str] = "temperature_value"
-    of_doubted_runs: ClassVar[bool] = True
+    of_doubted_runs: ClassVar[int] = DOUBTED
     estimated: ClassVar[bool] = True
     open_value: ClassVar[bool] = True
     per_radian: ClassVar[float] = 100.0
@@ -217,7 +238,7 @@ class TemperaturesExchanged(OfTemperatures):
     second: str
     other: int
     kind: ClassVar[str] = "temperatures_exchanged"
-    of_doubted_runs: ClassVar[bool] = True
+    of_doubted_runs: ClassVar[int] = DOUBTED
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:

@@ -15,7 +15,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, has_angles, single_runs, turns
+from imubayes.campaign.setup_gate.axis_mistakes import AXES, recorded_column, with_column
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale, rate_factor
@@ -56,7 +57,7 @@ class WrongRow:
     recorded, agreeing, sd : of that column, rad, rad/s or output units, the last from the scatter of the other rows; 0
         of a reversed sign, which has no value to estimate.
     distance : of its outputs from the prediction, in standard deviations of the other rows.
-    column : of the view; empty of an output.
+    column : covariate; empty of an output.
     channel : place of the output; None of a column.
     rivals : other records of the row that agree as well.
     """
@@ -79,9 +80,9 @@ class WrongRow:
             quantity, kind, unit, form = channel.name, channel.kind, channel.output_unit, "output_offset"
             recorded, agreeing, sd = 0.0, self.agreeing - self.recorded, self.sd
         else:
-            covariate = COVARIATES[f"table_{self.column}"]
+            covariate = COVARIATES[self.column]
             table = next(run.table for run in campaign.runs if run.name == self.run)
-            zero = campaign.tables[table or ""].zero_angle if self.column == "angle" else 0.0
+            zero = campaign.tables[table or ""].zero_angle if self.column == "table_angle" else 0.0
             quantity, kind, unit, form = covariate.column, "", covariate.unit, "offset"
             recorded, agreeing = ((value + zero) / covariate.factor() for value in (self.recorded, self.agreeing))
             sd = self.sd / covariate.factor()
@@ -90,6 +91,7 @@ class WrongRow:
         return WrongRecord(
             run=self.run, row=self.row + 1, form=form, quantity=quantity, unit=unit, recorded=recorded,
             agreeing=(agreeing,), sd=(sd,) if sd else (), kind=kind,
+            about=channel.offset if channel is not None and form == "output_factor" else 0.0,
         )  # fmt: skip
 
 
@@ -120,10 +122,9 @@ def with_rows(campaign: Campaign, rows: Sequence[WrongRow]) -> Campaign:
             observed[each.row, each.channel] = each.agreeing
             runs[place] = replace(runs[place], observed=observed)
             continue
-        name = f"table_{each.column}"
-        values = runs[place].covariates[name].copy()
+        values = runs[place].covariates.get(each.column, np.zeros(runs[place].rows)).copy()
         values[each.row] = each.agreeing
-        runs[place] = replace(runs[place], covariates={**runs[place].covariates, name: values})
+        runs[place] = replace(runs[place], covariates={**runs[place].covariates, each.column: values})
     return replace(campaign, runs=tuple(runs)) if rows else campaign
 
 
@@ -211,12 +212,13 @@ def _farthest(apart: Sequence[np.ndarray], out: Sequence[tuple[int, int]]) -> tu
 
 def _columns(view: RunView, wrong: int) -> Iterator[str]:
     """Yield what may be wrong in so many rows of a run."""
-    if view.outer is None and view.table is not None:
-        if has_angles(view):
-            yield "angle"
+    for axis in () if view.table is None else AXES[-1:] if view.outer is None else AXES:
+        angle, rate = recorded_column(view, f"{axis}_angle"), np.abs(recorded_column(view, f"{axis}_rate"))
+        if np.isfinite(angle).any() and view.attitude is None:
+            yield f"{axis}_angle"
         # What is wrong in most rows that turn is wrong in the run: its sense, its unit, or a scale factor.
-        if np.sum(np.abs(view.rate) > LEAST_RATE * np.abs(view.rate).max()) > 2 * wrong:
-            yield "rate"
+        if np.sum(rate > LEAST_RATE * rate.max()) > 2 * wrong:
+            yield f"{axis}_rate"
 
 
 def _agreeing_records(
@@ -232,13 +234,17 @@ def _agreeing_records(
     offset : of the outputs, about which their sign is reversed.
     """
     of_output, size = wrong.channel is not None, wrong.distance
-    recorded = float(view.observed[wrong.row, wrong.channel] if of_output else getattr(view, wrong.column)[wrong.row])
+    recorded = float(
+        view.observed[wrong.row, wrong.channel] if of_output else recorded_column(view, wrong.column)[wrong.row]
+    )
     if not np.isfinite(recorded):
         return []
-    angle = wrong.column == "angle"
-    least = LEAST_ANGLE if angle else LEAST_RATE * float(np.abs(view.rate).max())
+    angle = wrong.column.endswith("angle")
     step = LEAST_OUTPUT * abs(recorded - offset) if of_output else _STEP
-    least = step if of_output else least
+    if of_output:
+        least = step
+    else:
+        least = LEAST_ANGLE if angle else LEAST_RATE * float(np.abs(recorded_column(view, wrong.column)).max())
     # Outputs go around a circle with the angle: a search that starts a quarter of a turn away may end beside it.
     starts = recorded + (_STARTS if angle else np.zeros(1))
     left, value, sd = min(_agreeing(error, at, step) for at in starts) if step > 0 else (np.inf, recorded, 0.0)
@@ -273,9 +279,9 @@ def _set(view: RunView, wrong: WrongRow, value: float) -> RunView:
         observed = view.observed.copy()
         observed[wrong.row, wrong.channel] = value
         return changed(view, observed=observed)
-    values = getattr(view, wrong.column).copy()
+    values = recorded_column(view, wrong.column).copy()
     values[wrong.row] = value
-    return changed(view, angle=values) if wrong.column == "angle" else changed(view, rate=values)
+    return with_column(view, wrong.column, values)
 
 
 @dataclass(frozen=True)
