@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
 from imubayes.campaign.reduction.motion_windows import about_one_axis
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, TIME
 
@@ -15,7 +16,7 @@ _BLOCK_SECONDS, _PARTS = 0.8, 5
 _STEADY = 0.015  # scatter of the parts of a block at rest, of |f|
 _SAME = 0.1  # of |f|: between attitudes
 _POSES = 4
-_MOVING_SECONDS, _MOVING_SHARE = 10.0, 0.6
+_MOVING_SHARE = 0.6
 _FOLLOWS = 0.7  # correlation of the change of the force with what the gyros make of it
 
 
@@ -37,7 +38,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
     interval = float(np.median(np.diff(time)))
     poses, moving = _poses(force, interval)
     seconds = moving * len(time) * interval
-    if poses >= _POSES or moving < _MOVING_SHARE or seconds < _MOVING_SECONDS:
+    if poses >= _POSES or moving < _MOVING_SHARE or seconds < LEAST_SECONDS:
         return "free_tumble", ""
     if not all(name in columns for name in GYROS):
         return "slow_motion", f"{seconds:.3g} s without rest, and no gyros about three axes: each window has |f| = g"
