@@ -85,7 +85,9 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     own = _procedures(runs, channels, procedure, options)
     labels = _labels(len(runs))
     if len({each for each, _ in own}) > 1:
-        notes += [f"{label}: guessed, procedure = {each}: {seen}" for label, (each, seen) in zip(labels, own, strict=True)]
+        notes += [
+            f"{label}: guessed, procedure = {each}: {seen}" for label, (each, seen) in zip(labels, own, strict=True)
+        ]
         why = ""
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}

@@ -12,6 +12,7 @@ from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
 from imubayes.campaign.reduction.motion_windows import about_one_axis
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, TIME
 
+ONE_AXIS = "free_rotation"
 _BLOCK_SECONDS, _PARTS = 0.8, 5
 _STEADY = 0.015  # scatter of the parts of a block at rest, of |f|
 _SAME = 0.1  # of |f|: between attitudes
@@ -46,7 +47,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
         axis = np.linalg.eigh(rates.T @ rates)[1][:, -1]
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
         named = ", ".join(f"{part:.2f}" for part in axis + 0.0)
-        return "free_rotation", f"{seconds:.3g} s without rest, about one axis of the body, ({named})"
+        return ONE_AXIS, f"{seconds:.3g} s without rest, about one axis of the body, ({named})"
     return "slow_motion", f"{seconds:.3g} s without rest, about all axes: without poses at rest"
 
 
@@ -77,7 +78,7 @@ def per_radian_in_motion(columns: Mapping[str, np.ndarray]) -> float:
     time = columns[TIME]
     size = max(1, round(0.1 / float(np.median(np.diff(time)))))
     count = len(time) // size
-    if count < 100:
+    if count < LEAST_SECONDS / 0.12:  # a log that may be reduced
         return 0.0
     force, rate = (
         np.stack([columns[name] for name in names], axis=1)[: count * size].reshape(count, size, 3).mean(axis=1)
