@@ -24,7 +24,7 @@ UNITS = {"Accelerometer": "m/s^2", "Gyroscope": "rad/s"}
 NOISE = {"Accelerometer": 0.02, "Gyroscope": 0.0017}
 JITTER = 0.0005  # s
 FINE = 1000.0  # Hz of the attitudes
-WHEEL_SECONDS, HAND_SECONDS = 8.0, 30.0
+WHEEL_SECONDS, HAND_SECONDS = 6.0, 30.0
 LEVER = 0.06  # m, of the phone about the axle
 
 Motion = tuple[Callable[[np.ndarray], Rotation], Callable[[np.ndarray], np.ndarray]]
@@ -68,7 +68,7 @@ def _motion(time: np.ndarray, attitude: Rotation, place: np.ndarray) -> Motion:
 
 
 def wheel(rng: np.random.Generator, axis: int, sense: float, upright: bool = False) -> Motion:
-    """Return a phone on a wheel that turns about one of its axes; the axle is level, or upright as a record player's."""
+    """Return a phone on a wheel that turns about one of its axes; the axle is level, or upright."""
     time = np.arange(-1.0, WHEEL_SECONDS + 1.0, 1 / FINE)
     rate = sense * 2 * np.pi * 0.5 * (1 - 0.15 * time / WHEEL_SECONDS + 0.02 * wander(rng, time, 0.1, 0.6))
     phase = np.cumsum(rate) / FINE

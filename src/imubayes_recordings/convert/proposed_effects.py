@@ -168,6 +168,8 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
         # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
         carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
         return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
+    if name == "hand_acceleration" and len({run.procedure for run in campaign.runs if _in_motion(run)}) > 1:
+        return (EffectSpec(name, per="run"),)  # a hand and a wheel do not accelerate the unit alike
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest
         return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]
