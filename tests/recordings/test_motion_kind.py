@@ -5,9 +5,11 @@ import pytest
 from motion_recordings import NAMES, drilled, random_unit, waved
 from tumble_recordings import random_attitudes
 
+from imubayes import load_campaign
 from imubayes.foundations.errors import InputError
 from imubayes_recordings.convert import read_recordings
 from imubayes_recordings.convert.motion_kind import per_radian_in_motion, procedure_in_motion
+from imubayes_recordings.convert.proposed_effects import propose_effects
 from imubayes_recordings.convert.unnamed_columns import rest_means, unit_of_gravity
 
 
@@ -134,3 +136,13 @@ def test_the_unit_of_accelerometers_on_a_wheel_is_that_of_turning_gravity(axis, 
     force[:, (axis + 2) % 3] = -9.81 * np.sin(turn)
     assert unit_of_gravity(force, rest_means(force))[0] == "m/s^2"
     assert unit_of_gravity(force / 9.81, rest_means(force / 9.81))[0] == "g"
+
+
+@pytest.mark.slow
+def test_a_hand_and_a_wheel_have_accelerations_of_their_own(session, tmp_path) -> None:
+    """In one campaign; with one acceleration for all, the noise had heavy tails."""
+    folders = sorted(session.iterdir())
+    for names, per in ((folders, "run"), (folders[1:], None)):
+        campaign = load_campaign(read_recordings(names).write(tmp_path / f"{per}"))
+        proposed = {each.spec.name: each.spec.per for each in propose_effects(campaign).effects}
+        assert proposed["hand_acceleration"] == per
