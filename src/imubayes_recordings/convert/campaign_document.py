@@ -84,11 +84,8 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     procedure, why = _procedure(longest, _rates(longest, channels), options, source)
     own = _procedures(runs, channels, procedure, options)
     labels = _labels(len(runs))
-    if len({each for each, _ in own}) > 1:
-        notes += [
-            f"{label}: guessed, procedure = {each}: {seen}" for label, (each, seen) in zip(labels, own, strict=True)
-        ]
-        why = ""
+    several, why = _said_of_runs(own, labels, why)
+    notes += several
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}
     stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
@@ -242,6 +239,15 @@ def _procedures(
         return [(longest, "")] * len(runs)
     found = [procedure_in_motion({} if run.means else run.columns, _rates(run, channels)) for run in runs]
     return [(each, why or "rests in several attitudes") for each, why in found]
+
+
+def _said_of_runs(own: Sequence[tuple[str, str]], labels: Sequence[str], why: str) -> tuple[list[str], str]:
+    """Return notes on the procedures of the runs if they differ, and otherwise the reason for the one of all."""
+    if len({each for each, _ in own}) == 1:
+        return [], why
+    return [
+        f"{label}: guessed, procedure = {each}: {seen}" for label, (each, seen) in zip(labels, own, strict=True)
+    ], ""
 
 
 def _turning(rates: np.ndarray) -> float:

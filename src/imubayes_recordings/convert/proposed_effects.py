@@ -164,14 +164,8 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     Gravity of unknown direction cannot tell a rotation of the unit from one of its axes: the first accelerometer lies
     along its nominal axis, the second in the nominal plane of both.
     """
-    if name == "white_noise" and all(map(_in_motion, campaign.runs)):
-        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
-        carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
-        return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
-    if name == "hand_acceleration" and len({run.procedure for run in campaign.runs if _in_motion(run)}) > 1:
-        return (EffectSpec(name, per="run"),)  # a hand and a wheel do not accelerate the unit alike
-    if name == "white_noise" and by_hand:  # with room for what is slower than a rest
-        return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
+    if name in NOISE and (own := _noise_by_hand(name, campaign, by_hand)) is not None:
+        return (own,)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]
     if name == "encoder_noise" and turned:  # the angle of a turn has an error at each end
         return (EffectSpec(name, prior={"sigma": f"lognormal({np.degrees(max(turned)) / np.sqrt(2):.4g} deg, 0.5)"}),)
@@ -186,6 +180,19 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
         EffectSpec(name, (second.name,), prior={across: _HELD}),
         EffectSpec(name, tuple(channel.name for channel in others)),
     )
+
+
+def _noise_by_hand(name: str, campaign: Campaign, by_hand: bool) -> EffectSpec | None:
+    """Return the entry of a noise component of a unit by hand; None if its default serves."""
+    if name == "white_noise" and all(map(_in_motion, campaign.runs)):
+        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
+        carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
+        return EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"})
+    if name == "white_noise" and by_hand:  # with room for what is slower than a rest
+        return EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"})
+    if name == "hand_acceleration" and len({run.procedure for run in campaign.runs if _in_motion(run)}) > 1:
+        return EffectSpec(name, per="run")  # a hand and a wheel do not accelerate the unit alike
+    return None
 
 
 def _kept(

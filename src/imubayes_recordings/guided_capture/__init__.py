@@ -25,7 +25,7 @@ from imubayes_recordings.convert.recording import ForeignRecording
 from imubayes_recordings.guided_capture.motion_steps import DrillSteps, MotionSteps, Parts, WaveSteps
 from imubayes_recordings.guided_capture.planned_motion import PROCEDURE, SECONDS, expected_of_plan, noise_of
 from imubayes_recordings.guided_capture.pose_steps import FIRST, PoseSteps
-from imubayes_recordings.guided_capture.steps import UNTIL, Guidance, Motion, Steps, Wanted, read_wanted
+from imubayes_recordings.guided_capture.steps import UNTIL, Guidance, GuidedSteps, Motion, Wanted, read_wanted
 
 __all__ = ["UNTIL", "Guidance", "GuidedCapture", "Motion", "Wanted", "growing_lines"]
 
@@ -72,7 +72,7 @@ class GuidedCapture:
         self._waiting: list[str] = []
         self._head: list[str] = []
         self._table: ChosenTable | None = None
-        self._steps: Steps | None = None
+        self._steps: GuidedSteps | None = None
         self._now = Guidance("begin", of=FIRST)
 
     def follow(self, ended: Callable[[], bool], patience: float) -> Iterator[Guidance]:
@@ -153,7 +153,7 @@ class GuidedCapture:
             document = read.campaign.document
             yield self._steps.plan(expected_of_plan(self._motion, self._seconds, self._interval, noise, document))
 
-    def _first_step(self, gravity: float, least: np.ndarray) -> Steps:
+    def _first_step(self, gravity: float, least: np.ndarray) -> GuidedSteps:
         """Return the steps of the kind of motion that was chosen; `least` as of `PoseSteps`."""
         if self._motion == "poses":
             return PoseSteps(self._interval, least, self._until, lambda folder: self._read([self._part]).write(folder))

@@ -66,7 +66,7 @@ class Guidance:
     expected: tuple[ExpectedUncertainty, ...] = ()
 
 
-class Steps(Protocol):
+class GuidedSteps(Protocol):
     """The steps of a capture, poses or motions: they are given samples with their lines, and say what to do."""
 
     def add(self, values: np.ndarray, lines: Sequence[str]) -> None:
