@@ -253,7 +253,7 @@ def test_a_drill_is_captured_into_a_campaign(unit, tmp_path, capsys) -> None:
     assert [each.procedure for each in campaign.runs] == ["free_rotation"] * 2
     expected = motion_steps.propose_effects(campaign).expected
     scales = {each.channel: each for each in expected if each.effect == "gyro_scale_factor"}
-    assert scales["gz"].sd < 1.5e-3
+    assert scales["gz"].sd < 3e-3
     assert scales["gz"].told > 0.9
     assert scales["gx"].told < 0.5
 

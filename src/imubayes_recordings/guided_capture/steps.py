@@ -77,9 +77,11 @@ class GuidedSteps(Protocol):
 
     def guide(self) -> Guidance:
         """Return what to do now."""
+        ...
 
     def judge(self) -> Guidance:
         """Return what is known at the end."""
+        ...
 
 
 def read_wanted(words: Sequence[str], gravity: float) -> Iterator[Wanted]:
