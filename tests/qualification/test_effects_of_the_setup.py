@@ -1,14 +1,13 @@
 """The place of a unit on a wheel is another in each run: constants of the unit do not have it."""
 
-from types import SimpleNamespace
-from typing import Any, cast
-
+from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.effect_registry import Registry
 from imubayes_qualification.onboard import unexpressed_effects
 
 
 def belongs(name: str) -> bool:
-    effect = cast("Any", SimpleNamespace(effect_class=Registry().effects[name]))
+    effect = object.__new__(BoundEffect)
+    object.__setattr__(effect, "effect_class", Registry().effects[name])
     return unexpressed_effects._of_the_unit(effect)
 
 
