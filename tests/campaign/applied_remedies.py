@@ -1,5 +1,6 @@
 """The line that `check` asks for, made in the files of a campaign, as its reader would make it."""
 
+import ast
 import re
 from collections.abc import Callable
 
@@ -45,7 +46,7 @@ def _keys(files: Files, found: re.Match[str]) -> None:
         r"(\w+) = (\[.*?\](?= for)|\S+?),? for (?:(run|table|mounting) )?'([^']+)'", found[0]
     ):
         member = _entry(files, section or "channel", name)
-        member[key] = value.strip('"') if value.startswith('"') else eval(value)  # noqa: S307
+        member[key] = value.strip('"') if value.startswith('"') else ast.literal_eval(value)
     files.save()
 
 

@@ -39,7 +39,7 @@ def log(tmp_path_factory) -> Path:
     return file
 
 
-def steps_of(file: Path, until: Sequence[str] = UNTIL, **options) -> list[Guidance]:
+def steps_of(file: Path, until: Sequence[str] = UNTIL["poses"], **options) -> list[Guidance]:
     return list(GuidedCapture(file, until, OPTIONS | options).follow(lambda: True, 0.0))
 
 
@@ -61,7 +61,7 @@ def test_what_is_shown_as_reached_is_what_the_poses_determine(log):
     steps = steps_of(log)
     assert steps[-1].state == "done"
     assert 12 <= steps[-1].poses < RESTS
-    wanted = {each.effect: each.value for each in GuidedCapture(log, UNTIL, OPTIONS).wanted}
+    wanted = {each.effect: each.value for each in GuidedCapture(log, UNTIL["poses"], OPTIONS).wanted}
     largest = steps[-1].largest or {}
     assert all(largest[effect] <= value for effect, value in wanted.items())
     open_ones = [step.open for step in steps if step.state == "enough" and step.largest]
@@ -170,7 +170,7 @@ def test_every_direction_has_words():
     said = {now_line(Guidance("turn", up=up)) for up in DIRECTIONS}
     assert len(said) == len(DIRECTIONS) == 26
     assert "turn until +x points up, then let go" in said
-    assert all(COEFFICIENTS[word.partition("=")[0]] for word in UNTIL)
+    assert all(COEFFICIENTS[word.partition("=")[0]] for words in UNTIL.values() for word in words)
     assert "no campaign yet: too little" in rest_line(Guidance("enough", trouble="too little"), ())
 
 

@@ -48,12 +48,14 @@ class LinearInformation:
     ----------
     precision, pull : shapes (P, P) and (P,), precision of θ with its prior, and precision × posterior mean.
     widths, owner : shape (P,), prior widths, and the effects that the parameters belong to.
+    scatter : root mean square of the whitened residuals about the posterior mean; 1 if the noise is as assumed.
     """
 
     precision: np.ndarray
     pull: np.ndarray
     widths: np.ndarray
     owner: np.ndarray
+    scatter: float = 1.0
 
 
 def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
@@ -63,9 +65,12 @@ def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInfor
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
-    return LinearInformation(
-        jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
-    )
+    precision = jacobian.T @ jacobian + np.diag(widths**-2)
+    pull = jacobian.T @ (residual + jacobian @ start)
+    left = residual + jacobian @ (start - np.linalg.solve(precision, pull))
+    told = float(np.sum(1 - np.diag(inverse_of_precision(precision)) / widths**2))
+    scatter = float(np.sqrt(left @ left / max(len(left) - told, 1.0)))
+    return LinearInformation(precision, pull, widths, owner, scatter)
 
 
 def likely_scales(model: Model) -> np.ndarray:

@@ -22,7 +22,7 @@ from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookRe
 
 METHOD = "turns counted by the phase of gravity"
 _ALONG = 0.9  # of the rate, along the input axis, for a gyro to be evaluated
-_LEAST_TURNING = 0.3  # of g across the axis: with less the phase is noise
+LEAST_TURNING = 0.3  # of g across the axis: with less the phase is noise
 
 
 def counted_turns(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
@@ -61,7 +61,7 @@ def _rates(run: Run, campaign: Campaign) -> tuple[np.ndarray, float]:
     across = np.linalg.svd(axis[None])[2][1:]
     across[1] = np.cross(axis, across[0])
     u, v = across @ (force - force.mean(axis=0)).T
-    if np.median(np.hypot(u, v)) < _LEAST_TURNING * campaign.site.gravity:
+    if np.median(np.hypot(u, v)) < LEAST_TURNING * campaign.site.gravity:
         return mean, float("nan")
     # The gyro says how many turns there are between two windows, gravity the rest.
     along = np.concatenate([[0.0], np.cumsum((step @ axis) * tumble.step)])

@@ -56,8 +56,12 @@ def acts_linearly(effect: BoundEffect) -> bool:
 
 
 def _of_the_unit(effect: BoundEffect) -> bool:
-    """Tell whether an effect belongs to the unit; offsets of single runs are an uncertainty instead."""
+    """Tell whether an effect belongs to the unit; offsets of single runs are an uncertainty instead.
+
+    The place of the unit on a wheel or in a fixture, another in each run, is that of the set-up.
+    """
     own = issubclass(effect.effect_class, PlaceEffect | SignalEffect | RecordEffect)
+    own = own and not (issubclass(effect.effect_class, PlaceEffect) and "run" in effect.effect_class.per)
     return own and not issubclass(effect.effect_class, RunBias) and "injection" not in effect.effect_class.needs
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imubayes.foundations.errors import input_error
+from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
+from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import refuse_existing, refuse_occupied
 from imubayes.foundations.records import several
-from imubayes_recordings.convert import read_recordings
-from imubayes_recordings.guided_capture import UNTIL, Guidance, GuidedCapture, Wanted
+from imubayes_recordings.guided_capture import UNTIL, Guidance, GuidedCapture, Motion, Wanted
 
 STANDARD_INPUT = "-"
+_LONGEST = 600.0  # s of one motion
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,15 @@ class Captured:
 def capture(
     folder: str | Path,
     source: str | Path,
-    until: str | Sequence[str] = UNTIL,
+    until: str | Sequence[str] | None = None,
     *,
+    motion: Motion = "poses",
+    seconds: float | None = None,
     patience: float = 60.0,
     show: Callable[[Guidance, Sequence[Wanted]], None] = lambda step, wanted: None,
     **options: Any,
 ) -> Captured:
-    """Guide through the rests and turns of a unit in hand, and write the campaign.
+    """Guide through rests and turns of a unit in hand, or through motions, and write the campaign.
 
     An interrupt writes what there is.
 
@@ -57,7 +60,9 @@ def capture(
     ----------
     folder : of the campaign; must not exist, or be empty.
     source : a text file that grows, or ``-`` for the lines of standard input, which are kept in FOLDER.log.
-    until : largest standard uncertainties of the effects, such as ``accel_bias=0.2mg``.
+    until : largest standard uncertainties of the effects, such as ``accel_bias=0.2mg``; those of `UNTIL` by default.
+    motion : ``poses``, at rest; ``drill``, turns about one axis after the other; or ``wave``, slowly by hand.
+    seconds : of each motion; 20 s of a turn and 60 s of waving by default.
     patience : seconds without a line after which a file has ended.
     show : called with every step, and the requested uncertainties.
     options : as of `imubayes convert`.
@@ -79,7 +84,8 @@ def capture(
     folder = Path(folder)
     refuse_occupied(folder)
     with _file_of(source, folder) as (file, ended):
-        guide, last = GuidedCapture(file, several(until), options), None
+        words = several(until) if until else _default_until(motion)
+        guide, last = GuidedCapture(file, words, options, motion, _stated_seconds(motion, seconds)), None
         try:
             for last in guide.follow(ended, patience):
                 show(last, guide.wanted)
@@ -88,8 +94,25 @@ def capture(
         if last is None:
             what = "the source ended before its columns were named"
             raise input_error(what, str(file), "some seconds of a recording", "start the recording first")
-        read_recordings([file], folder.name, **({"procedure": "free_tumble"} | options)).write(folder)
+        guide.write(folder)
     return Captured(folder, last, guide.wanted)
+
+
+def _default_until(motion: str) -> tuple[str, ...]:
+    if motion not in UNTIL:
+        what = f"'{motion}' is no motion of a capture"
+        raise input_error(what, "option motion", closest_first(motion, UNTIL), "choose one of them")
+    return UNTIL[motion]
+
+
+def _stated_seconds(motion: str, seconds: float | None) -> float | None:
+    if motion == "poses" and seconds is not None:
+        what = "poses are held until they are known well enough: --seconds is of a motion"
+        raise input_error(what, "option seconds", "--motion drill or --motion wave", "leave it out, or choose a motion")
+    if seconds is not None and not LEAST_SECONDS < seconds <= _LONGEST:
+        what, allowed = f"{seconds:g} s are no duration of a motion", f"{LEAST_SECONDS:g} s to {_LONGEST:g} s"
+        raise input_error(what, "option seconds", allowed, "20 s of a turn and 60 s of waving are usual")
+    return seconds
 
 
 @contextmanager

@@ -18,7 +18,8 @@ COMMANDS = (
     ),
     Command(
         "imubayes_recordings.cli.capture:capture", "Data", -0.5, "capture",
-        "Record a unit turned by hand, with instructions, until the rests determine the requested quantities.\n\n"
+        "Record a unit turned by hand, with instructions, until poses or motions determine the requested "
+        "quantities.\n\n"
         "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
         "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
     ),

@@ -82,17 +82,22 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     notes += _of_local_g(channels, gravity)
     turns = _turns(runs, channels, options, source)
     procedure, why = _procedure(longest, _rates(longest, channels), options, source)
+    own = _procedures(runs, channels, procedure, options)
+    labels = _labels(len(runs))
+    several, why = _said_of_runs(own, labels, why)
+    notes += several
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}
     stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
     notes += [*(_guessed(key, evidence, stated) for key, evidence in guesses.items()), *site_notes]
     document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": notes, "site": site}
     document |= {"unit": {"serial": options.serial}, "channel": channels}
-    labels = _labels(len(runs))
     stand = _stand(procedure, runs, channels)
     notes += stand.notes
     document |= {"table": stand.table, "mounting": stand.mounting} if stand.table else {}
-    document["run"] = [_run(label, procedure, options) | seat for label, seat in zip(labels, stand.seats, strict=True)]
+    document["run"] = [
+        _run(label, each, options) | seat for label, (each, _), seat in zip(labels, own, stand.seats, strict=True)
+    ]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
     _add_turns(document, tables, list(zip(labels, turns, strict=False)), options)
     return ConvertedCampaign(document, tables, stated, guesses)
@@ -221,6 +226,28 @@ def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, whe
     if warmed > _WARMED:
         return _RAMP, f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
     return _STATIC, f"{seconds:.4g} s in one attitude"
+
+
+def _procedures(
+    runs: Sequence[RecordedRun], channels: Sequence[Mapping[str, Any]], longest: str, options: ConvertOptions
+) -> list[tuple[str, str]]:
+    """Return the procedure of every run and why: that of the longest, but of a unit by hand each run has its own.
+
+    A session holds turns on a wheel and a unit that is waved; a run at rest among them has poses of a free tumble.
+    """
+    if options.procedure or not procedure_named(longest).reduction.by_hand:
+        return [(longest, "")] * len(runs)
+    found = [procedure_in_motion({} if run.means else run.columns, _rates(run, channels)) for run in runs]
+    return [(each, why or "rests in several attitudes") for each, why in found]
+
+
+def _said_of_runs(own: Sequence[tuple[str, str]], labels: Sequence[str], why: str) -> tuple[list[str], str]:
+    """Return notes on the procedures of the runs if they differ, and otherwise the reason for the one of all."""
+    if len({each for each, _ in own}) == 1:
+        return [], why
+    return [
+        f"{label}: guessed, procedure = {each}: {seen}" for label, (each, seen) in zip(labels, own, strict=True)
+    ], ""
 
 
 def _turning(rates: np.ndarray) -> float:

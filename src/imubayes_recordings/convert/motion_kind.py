@@ -8,14 +8,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
 from imubayes.campaign.reduction.motion_windows import about_one_axis
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, TIME
 
+ONE_AXIS = "free_rotation"
 _BLOCK_SECONDS, _PARTS = 0.8, 5
 _STEADY = 0.015  # scatter of the parts of a block at rest, of |f|
 _SAME = 0.1  # of |f|: between attitudes
 _POSES = 4
-_MOVING_SECONDS, _MOVING_SHARE = 10.0, 0.6
+_MOVING_SHARE = 0.6
 _FOLLOWS = 0.7  # correlation of the change of the force with what the gyros make of it
 
 
@@ -37,7 +39,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
     interval = float(np.median(np.diff(time)))
     poses, moving = _poses(force, interval)
     seconds = moving * len(time) * interval
-    if poses >= _POSES or moving < _MOVING_SHARE or seconds < _MOVING_SECONDS:
+    if poses >= _POSES or moving < _MOVING_SHARE or seconds < LEAST_SECONDS:
         return "free_tumble", ""
     if not all(name in columns for name in GYROS):
         return "slow_motion", f"{seconds:.3g} s of motion without rest, no gyros about three axes: windows of |f| = g"
@@ -45,7 +47,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
         axis = np.linalg.eigh(rates.T @ rates)[1][:, -1]
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
         named = ", ".join(f"{part:.2f}" for part in axis + 0.0)
-        return "free_rotation", f"{seconds:.3g} s of rotation without rest about one axis of the body, ({named})"
+        return ONE_AXIS, f"{seconds:.3g} s of rotation without rest about one axis of the body, ({named})"
     return "slow_motion", f"{seconds:.3g} s of motion about all axes without rest"
 
 
@@ -76,7 +78,7 @@ def per_radian_in_motion(columns: Mapping[str, np.ndarray]) -> float:
     time = columns[TIME]
     size = max(1, round(0.1 / float(np.median(np.diff(time)))))
     count = len(time) // size
-    if count < 100:
+    if count < LEAST_SECONDS / 0.12:  # a log that may be reduced
         return 0.0
     force, rate = (
         np.stack([columns[name] for name in names], axis=1)[: count * size].reshape(count, size, 3).mean(axis=1)

@@ -18,9 +18,11 @@ import numpy as np
 from imubayes import observability
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.numerics import inverse_of_precision
-from imubayes.inference.linear_information import STATION, TOLD, linear_information, of_equipment
+from imubayes.inference.linear_information import STATION, TOLD, LinearInformation, linear_information, of_equipment
 from imubayes.model.bind import Model, bind
+from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.parameters.declarations import prior_slopes
 from imubayes.procedures import PROCEDURES
 
 SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor",
@@ -30,8 +32,9 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
 NOISE = ("white_noise", "encoder_noise", "run_scatter", "hand_acceleration", "hand_velocity")
-# Of further effects: the least share of the information from the data.
-_DETERMINED = 0.5
+DETERMINED = 0.5
+"""Least share of the information from the data: of every coefficient of a further effect, and of one that is stated as
+determined by the runs."""
 # Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment, and one of
 # these another while it counts as one on which nothing depends.
 _WIDENED, _INDEPENDENT = 5.0, 1.1
@@ -50,6 +53,26 @@ class ProposedEffect:
 
 
 @dataclass(frozen=True)
+class ExpectedUncertainty:
+    """What the runs are expected to determine of a coefficient, by the noise that the campaign states.
+
+    Attributes
+    ----------
+    effect, channel : of the coefficient.
+    sd : expected standard uncertainty, SI.
+    unit, factor : unit in which it is shown, and SI units in one of it.
+    told : share of the information that comes from the data.
+    """
+
+    effect: str
+    channel: str
+    sd: float
+    unit: str
+    factor: float
+    told: float
+
+
+@dataclass(frozen=True)
 class EffectProposal:
     """The effects of a model for some runs.
 
@@ -59,12 +82,14 @@ class EffectProposal:
     undetermined : further effects that the runs show and do not determine, with the largest share they tell.
     missing : effects on channels of the unit that no run can show, with what is missing for each.
     turned_by_hand : whether the accelerometers define the body frame, as no table does.
+    expected : of the biases, scale factors and misalignments that are free, beside all effects of the model.
     """
 
     effects: tuple[ProposedEffect, ...]
     undetermined: dict[str, float]
     missing: dict[str, tuple[str, ...]]
     turned_by_hand: bool
+    expected: tuple[ExpectedUncertainty, ...] = ()
 
 
 def propose_effects(campaign: Campaign) -> EffectProposal:
@@ -83,13 +108,32 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     names = [name for name in wanted if not found[name]]
     specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
-    kept, shares = _kept(model, names, purposes)
+    known = linear_information(model)
+    kept, shares = _kept(model, known, names, purposes)
     own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
         effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
         undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
         missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
+        expected=_expected(model, known, kept),
+    )
+
+
+def _expected(model: Model, known: LinearInformation, kept: set[str]) -> tuple[ExpectedUncertainty, ...]:
+    """Return what is expected of the free coefficients of sensors, with the effects of the model alone."""
+    left_out = {*SENSORS, *FURTHER, *NOISE} - kept
+    inside = np.flatnonzero(~np.isin(known.owner, list(left_out)))
+    covariance = inverse_of_precision(known.precision[np.ix_(inside, inside)])
+    scatter = max(1.0, known.scatter)
+    slopes = np.asarray(prior_slopes(model.problem.priors, first_point(model.assembly)))[inside]
+    told = 1 - np.diag(covariance) / known.widths[inside] ** 2
+    sd = scatter * np.sqrt(np.diag(covariance)) * np.abs(slopes)
+    parameters = [model.layout.parameters[place] for place in inside]
+    return tuple(
+        ExpectedUncertainty(each.effect, each.label[0], float(own), each.shown_unit, each.factor, float(share))
+        for each, own, share in zip(parameters, sd, told, strict=True)
+        if each.effect in SENSORS and each.label and each.prior.sd() > _HELD_RAD
     )
 
 
@@ -120,12 +164,8 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     Gravity of unknown direction cannot tell a rotation of the unit from one of its axes: the first accelerometer lies
     along its nominal axis, the second in the nominal plane of both.
     """
-    if name == "white_noise" and all(map(_in_motion, campaign.runs)):
-        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
-        carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
-        return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
-    if name == "white_noise" and by_hand:  # with room for what is slower than a rest
-        return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
+    if name in NOISE and (own := _noise_by_hand(name, campaign, by_hand)) is not None:
+        return (own,)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]
     if name == "encoder_noise" and turned:  # the angle of a turn has an error at each end
         return (EffectSpec(name, prior={"sigma": f"lognormal({np.degrees(max(turned)) / np.sqrt(2):.4g} deg, 0.5)"}),)
@@ -142,11 +182,23 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     )
 
 
+def _noise_by_hand(name: str, campaign: Campaign, by_hand: bool) -> EffectSpec | None:
+    """Return the entry of a noise component of a unit by hand; None if its default serves."""
+    if name == "white_noise" and all(map(_in_motion, campaign.runs)):
+        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
+        carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
+        return EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"})
+    if name == "white_noise" and by_hand:  # with room for what is slower than a rest
+        return EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"})
+    if name == "hand_acceleration" and len({run.procedure for run in campaign.runs if _in_motion(run)}) > 1:
+        return EffectSpec(name, per="run")  # a hand and a wheel do not accelerate the unit alike
+    return None
+
+
 def _kept(
-    model: Model, names: Sequence[str], purposes: Sequence[str]
+    model: Model, known: LinearInformation, names: Sequence[str], purposes: Sequence[str]
 ) -> tuple[set[str], dict[str, tuple[float, float]]]:
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
-    known = linear_information(model)
     precision, widths, owner = known.precision, known.widths, known.owner
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
     kept, shares, apart = set(names), {}, [name for name in FURTHER if name not in purposes]
@@ -157,7 +209,7 @@ def _kept(
         told = 1 - variance / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
-        below = _below(now, apart, 0, _DETERMINED) | _below(now, purposes, 1, _DETERMINED) or {
+        below = _below(now, apart, 0, DETERMINED) | _below(now, purposes, 1, DETERMINED) or {
             name: share
             for name, share in _below(now, SENSORS, 1, TOLD).items()
             if _widening(precision, owner, inside, variance, name) < _INDEPENDENT

@@ -22,6 +22,7 @@ from imubayes_recordings.convert.column_names import (
     TABLE_RATE,
     TIME,
 )
+from imubayes_recordings.convert.motion_kind import ONE_AXIS, procedure_in_motion
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.raw_counts import signed_counts
 from imubayes_recordings.convert.recording import described, read_columns
@@ -95,7 +96,7 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
     parts = _whole_parts(tables, options)
     if len(parts) > 1 and options.rows != "samples" and (faces := _faces(parts)) is not None:
         return (faces,)
-    if len(parts) > 1 and (joined := _joined(parts)) is not None:
+    if len(parts) > 1 and not _of_own_axes(parts, options) and (joined := _joined(parts)) is not None:
         parts = [joined]
     return tuple(_from_zero(_told_rows(part, options, tables), options) for part in parts)
 
@@ -359,6 +360,19 @@ def _means_beside(parts: Sequence[RecordedRun], names: Sequence[str]) -> Columns
     shared = set.intersection(*(set(part.columns) for part in parts)) - left_out
     columns: Columns = {SAMPLES: np.array([float(np.isfinite(part.columns[names[0]]).sum()) for part in parts])}
     return columns | {name: np.array([np.nanmean(part.columns[name]) for part in parts]) for name in sorted(shared)}
+
+
+def _of_own_axes(parts: Sequence[RecordedRun], options: ConvertOptions) -> bool:
+    """Tell whether each part may be a rotation about an axis of its own: parts one after the other are runs then."""
+    if options.procedure:
+        return options.procedure == ONE_AXIS
+    rates = [_stacked(part, [name for name in GYROS if name in part.columns]) for part in parts]
+    return any(procedure_in_motion(part.columns, own)[0] == ONE_AXIS for part, own in zip(parts, rates, strict=True))
+
+
+def _stacked(part: RecordedRun, names: Sequence[str]) -> np.ndarray:
+    columns = [part.columns[name] for name in names]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(next(iter(part.columns.values()))), 0))
 
 
 def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:

@@ -70,15 +70,21 @@ def gravity_unit(rest: np.ndarray) -> tuple[str, float]:
 
 
 def unit_of_gravity(values: np.ndarray, rest: np.ndarray) -> tuple[str, float]:
-    """Return the unit in which three columns read g: at rest, or in each row where a row is a pose.
+    """Return the unit in which three columns read g: in each row, at rest, or as what turns on a drill or a wheel.
+
+    The mean of a vector that turns is too short, and may be g in another unit: |f| of single rows goes first.  On a
+    wheel the centripetal acceleration is constant in body axes, and gravity is the rest.
 
     Parameters
     ----------
     values, rest : all rows, and `rest_means` of them, shape (N, 3) and (n, 3).
     """
+    rows = values[:READ][np.isfinite(values[:READ]).all(axis=1)]
     at_rest = gravity_unit(rest)
-    single = gravity_unit(values[:READ][np.isfinite(values[:READ]).all(axis=1)]) if not at_rest[0] else at_rest
-    return single if single[0] else at_rest
+    for found in (gravity_unit(rows), at_rest, gravity_unit(rows - rows.mean(axis=0)) if len(rows) else at_rest):
+        if found[0]:
+            return found
+    return at_rest
 
 
 def is_clock(values: np.ndarray) -> bool:

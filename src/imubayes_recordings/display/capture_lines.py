@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imubayes.display.numbers_and_labels import listed
+from imubayes_recordings.display.expected_lines import expected_lines
 from imubayes_recordings.guided_capture import Guidance, Wanted
 
 _NEAR = 30.0  # times what is asked for; beyond, a number would say nothing
@@ -12,6 +13,13 @@ _NEAR = 30.0  # times what is asked for; beyond, a number would say nothing
 
 def now_line(step: Guidance) -> str:
     """Return what to do now."""
+    if step.fault:
+        return f"{step.part}: {step.fault}" if step.state == "moving" else f"{step.fault} · {step.ask}"
+    if step.state == "moving":
+        left = f" · {step.ask}" if step.ask else ""
+        return f"{step.part} · {step.seconds:.0f} of {step.of:.0f} s{left}"
+    if step.ask:
+        return step.ask
     if step.state == "begin":
         return "lay the unit down and let go"
     if step.state == "hold":
@@ -19,9 +27,15 @@ def now_line(step: Guidance) -> str:
     return "turn to another attitude, then let go" if step.up is None else f"turn until {_up(step.up)}, then let go"
 
 
+def plan_lines(step: Guidance) -> list[str]:
+    """Return what the planned motions are expected to determine, and the first of them."""
+    lines = [f"Standard uncertainties to expect of the planned motions, {step.of:g} s each:"]
+    return [*lines, *(f"  {line}" for line in expected_lines(step.expected)), step.ask]
+
+
 def rest_line(step: Guidance, wanted: Sequence[Wanted]) -> str:
     """Return what is known after a rest: what is reached of what was asked for, and what is open."""
-    line = f"rest {step.poses}: enough"
+    line = f"{step.part}: enough" if step.part else f"rest {step.poses}: enough"
     if step.trouble:
         line += f"; no campaign yet: {step.trouble}"
     elif step.largest:

@@ -16,6 +16,7 @@ from imubayes.model.model_file import EffectSpec
 from imubayes.parameters.declarations import declared_parameters
 from imubayes.procedures import PROCEDURES, Procedure
 from imubayes_recordings.convert.proposed_effects import FURTHER, SENSORS, EffectProposal, ProposedEffect
+from imubayes_recordings.display.expected_lines import expected_lines
 
 _OF_CAMPAIGN = {
     "site": {
@@ -167,4 +168,7 @@ def proposal_report(proposal: EffectProposal) -> Report:
     """Return the effects of the model, and what is not in it and why."""
     names = list(dict.fromkeys(each.spec.name for each in proposal.effects))
     lines = [f"The model has {counted(len(names), 'effect')}: {listed(names, 20)}."]
+    if proposal.expected:
+        lines += ["Standard uncertainties that the runs are expected to give, by their noise before a fit:"]
+        lines += expected_lines(proposal.expected)
     return Report([*lines, *(line.removeprefix("#").strip() for line in _left_out(proposal) if line)])

@@ -1,97 +1,37 @@
-"""A recording that is taken step by step: hold, enough, turn, until the poses determine what was asked for.
+"""A recording that is taken step by step, until its poses or motions determine what was asked for.
 
 The lines come from a file that grows; what comes from a port is copied to one first, so that nothing that was received
-is lost.  After each rest the file is read as `convert` reads it, and its poses are found as those of any free tumble:
+is lost.  Steps are poses (`pose_steps`: hold, enough, turn) or motions (`motion_steps`: turn it about this axis, now
+about another; wave it).  After each the file is read as `convert` reads it, and reduced as any run of its procedure:
 what is shown as done is what the campaign will hold.
 """
 
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imubayes import load_campaign
-from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE
-from imubayes.foundations.errors import InputError, closest_first, input_error
-from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
-from imubayes_recordings.convert import read_recordings
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.units import to_si
+from imubayes_recordings.convert import ReadRecordings, read_recordings
 from imubayes_recordings.convert.column_choice import TRIPLES, ChosenTable
 from imubayes_recordings.convert.column_names import TIME
 from imubayes_recordings.convert.formats.text import TextRecording
 from imubayes_recordings.convert.recording import ForeignRecording
-from imubayes_recordings.guided_capture.pose_design import COEFFICIENTS, PoseDesign, design_of
-from imubayes_recordings.guided_capture.rest_watch import RestWatch
+from imubayes_recordings.guided_capture.motion_steps import DrillSteps, MotionSteps, Parts, WaveSteps
+from imubayes_recordings.guided_capture.planned_motion import PROCEDURE, SECONDS, expected_of_plan, noise_of
+from imubayes_recordings.guided_capture.pose_steps import FIRST, PoseSteps
+from imubayes_recordings.guided_capture.steps import UNTIL, Guidance, GuidedSteps, Motion, Wanted, read_wanted
 
-UNTIL = ("accel_bias=0.3mg", "accel_scale_factor=300ppm", "accel_misalignment=2arcmin", "gyro_bias=20deg/h",
-         "gyro_scale_factor=0.1%", "gyro_misalignment=4arcmin")  # fmt: skip
-"""What is asked for by default: what a small unit on a desk reaches in a quarter of an hour."""
+__all__ = ["UNTIL", "Guidance", "GuidedCapture", "Motion", "Wanted", "growing_lines"]
 
 _BEGIN = 200  # lines by which the columns are told
-_FIRST, _SHORTEST, _LONGEST = 10.0, 2.0, 10.0  # s to hold the first rest, and any other
-_PAUSE = 50.0  # mean steps without a sample: the rest is not known to have gone on
+_PAUSE = 50.0  # mean steps without a sample: the motion is not known to have gone on
 _POLL, _LOOK = 0.05, 0.25  # s between two looks at the file, and at the samples
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A standard uncertainty that is asked for of every coefficient of an effect: as written, its number, in SI."""
-
-    effect: str
-    text: str
-    number: float
-    value: float
-
-
-@dataclass(frozen=True)
-class Guidance:
-    """What the operator does now, and what is known.
-
-    Attributes
-    ----------
-    state : begin, hold, turn, enough, done or ended.
-    seconds, of : held so far, and to be held.
-    poses : undisturbed poses of the recording so far.
-    up : direction of the body to point up next, (3,), not normalised; None where any serves.
-    largest : effect → its largest standard deviation, SI; empty before there are enough poses.
-    open : the effects that are not reached.
-    trouble : why the recording so far makes no campaign; empty where it does.
-    """
-
-    state: str
-    seconds: float = 0.0
-    of: float = 0.0
-    poses: int = 0
-    up: np.ndarray | None = None
-    largest: Mapping[str, float] | None = None
-    open: tuple[str, ...] = ()
-    trouble: str = ""
-
-
-def read_wanted(words: Sequence[str], gravity: float) -> Iterator[Wanted]:
-    """Yield what is asked for, of words such as ``accel_bias=0.2mg``.
-
-    Raises
-    ------
-    InputError
-        for an effect that no rest or turn shows, or a unit of another dimension.
-    """
-    for word in words:
-        effect, _, text = word.partition("=")
-        if effect not in COEFFICIENTS:
-            allowed = closest_first(effect, COEFFICIENTS, most=len(COEFFICIENTS))
-            raise input_error(
-                f"'{effect}' cannot be requested from rests and turns", "option until", allowed, "correct it"
-            )
-        match, usual = NUMBER_AND_UNIT.match(text), COEFFICIENTS[effect].unit
-        size, unit = (float(match["number"]), match["unit"] or "") if match else (0.0, "")
-        if not size > 0 or not unit or not same_dimension(unit, usual, "option until"):
-            what = f"'{word}' has no uncertainty above 0 with a unit of {usual}"
-            raise input_error(what, "option until", f"such as {effect}=1{usual}", "state number and unit")
-        yield Wanted(effect, text, size, size * to_si(unit, gravity))
 
 
 def growing_lines(file: Path, ended: Callable[[], bool], patience: float) -> Iterator[list[str]]:
@@ -115,15 +55,25 @@ def growing_lines(file: Path, ended: Callable[[], bool], patience: float) -> Ite
 
 
 class GuidedCapture:
-    """Guides the operator of a recording that grows."""
+    """Guides the operator of a recording that grows, through poses or motions."""
 
-    def __init__(self, file: Path, until: Sequence[str], options: Mapping[str, Any]) -> None:
-        self.file, self._options = file, {"procedure": "free_tumble"} | dict(options)
+    def __init__(
+        self,
+        file: Path,
+        until: Sequence[str],
+        options: Mapping[str, Any],
+        motion: Motion = "poses",
+        seconds: float | None = None,
+    ) -> None:
+        self.file, self._motion = file, motion
+        self._seconds = SECONDS.get(motion, 0.0) if seconds is None else seconds
+        self._options = {"procedure": PROCEDURE.get(motion, "free_tumble")} | dict(options)
         self._words, self._until = tuple(until), tuple(read_wanted(until, 9.81))  # refused before anything is recorded
         self._waiting: list[str] = []
+        self._head: list[str] = []
         self._table: ChosenTable | None = None
-        self._enough = False
-        self._now = Guidance("begin", of=_FIRST)
+        self._steps: GuidedSteps | None = None
+        self._now = Guidance("begin", of=FIRST)
 
     def follow(self, ended: Callable[[], bool], patience: float) -> Iterator[Guidance]:
         """Yield what to do, whenever lines have come; the last one is done, or ended."""
@@ -133,24 +83,45 @@ class GuidedCapture:
                 yield from self._add(lines)
                 if self._now.state == "done":
                     return
-            if self._table is not None:
-                self._judge()
+            if self._steps is not None:
+                self._now = self._steps.judge()
                 yield self._now if self._now.state == "done" else replace(self._now, state="ended")
 
+    def write(self, folder: Path) -> None:
+        """Write the campaign of the whole file, or of its motions.
+
+        Raises
+        ------
+        InputError
+            if it makes none.
+        """
+        if not isinstance(self._steps, MotionSteps):
+            read_recordings([self.file], folder.name, **self._options).write(folder)
+        elif self._steps.parts:
+            self._write_parts(self._steps.parts, folder)
+        else:
+            raise input_error(
+                "no motion of the recording lasted for long enough", str(self.file),
+                f"turns about one axis, or waving, of {self._seconds:g} s each", "record again, or state --seconds",
+            )  # fmt: skip
+
     def _add(self, lines: Sequence[str]) -> Iterator[Guidance]:
-        if self._table is None:
+        begun = self._steps is not None
+        if not begun:
             self._waiting += lines
             if len(self._waiting) < _BEGIN:
                 return
             self._keep(self._waiting)
-            self._begin()
-            self._feed(self._waiting)
-            lines = ()
+            yield from self._begin()
+            lines = self._waiting[len(self._head) :]
+        assert self._steps is not None
         piece = max(1, round(_LOOK / self._interval))
         for first in range(0, len(lines), piece):
-            self._keep(lines[first : first + piece])
+            if begun:
+                self._keep(lines[first : first + piece])
             self._feed(lines[first : first + piece])
-            yield self._guide()
+            self._now = self._steps.guide()
+            yield self._now
             if self._now.state == "done":
                 return
 
@@ -158,8 +129,8 @@ class GuidedCapture:
         with self._part.open("a", encoding="utf-8") as stream:
             stream.writelines(f"{line}\n" for line in lines)
 
-    def _begin(self) -> None:
-        """Find columns, units and clock as `convert` does."""
+    def _begin(self) -> Iterator[Guidance]:
+        """Find columns, units and clock as `convert` does; yield what planned motions are expected to determine."""
         read = read_recordings([self._part], "capture", **self._options)
         table = next(table for table in read.tables if "a" in table.kinds)
         recording = self._text(table)
@@ -172,10 +143,41 @@ class GuidedCapture:
         self._until = tuple(read_wanted(self._words, gravity))
         self._until = tuple(each for each in self._until if len(names) == 6 or each.effect.startswith("accel"))
         self._scale, self._offset = self._nominal(read.campaign.document, table, gravity)
-        least = _least_steps([columns[name] for name in self._names]) * np.abs(self._scale)
-        self._watch = RestWatch(self._interval, least)
+        recorded = [columns[name] for name in self._names]
         self._table, self._recording = table, recording
+        self._head = self._waiting[: recording.layout.first - 1]
         self._clock_step, self._last = float("nan"), float("nan")
+        self._steps = self._first_step(gravity, _least_steps(recorded) * np.abs(self._scale))
+        if isinstance(self._steps, MotionSteps):
+            noise = noise_of(np.stack(recorded, axis=1) * np.abs(self._scale), self._names)
+            document = read.campaign.document
+            yield self._steps.plan(expected_of_plan(self._motion, self._seconds, self._interval, noise, document))
+
+    def _first_step(self, gravity: float, least: np.ndarray) -> GuidedSteps:
+        """Return the steps of the kind of motion that was chosen; `least` as of `PoseSteps`."""
+        if self._motion == "poses":
+            return PoseSteps(self._interval, least, self._until, lambda folder: self._read([self._part]).write(folder))
+        names, given = tuple(self._names), (self._seconds, self._until, self._write_parts)
+        if self._motion == "wave":
+            return WaveSteps(self._interval, gravity, names, *given)
+        if len(names) < 6:
+            raise input_error(
+                "turns on a drill need gyros, which the recording does not have", str(self.file),
+                "columns ax, ay, az, gx, gy, gz; or --motion wave or poses with accelerometers alone",
+                "record the gyros as well, or choose another motion",
+            )  # fmt: skip
+        return DrillSteps(self._interval, names, *given)
+
+    def _read(self, files: Sequence[Path], name: str = "capture") -> ReadRecordings:
+        return read_recordings(files, name, **self._options)
+
+    def _write_parts(self, parts: Parts, folder: Path) -> None:
+        """Write the campaign of some parts of the recording, a file each with the head of the whole."""
+        with tempfile.TemporaryDirectory() as place:
+            files = [Path(place) / f"{name}.csv" for name in parts]
+            for file, lines in zip(files, parts.values(), strict=True):
+                file.write_text("".join(f"{line}\n" for line in (*self._head, *lines)), encoding="utf-8")
+            self._read(files, folder.name).write(folder)
 
     def _text(self, table: ChosenTable) -> TextRecording:
         recording = table.recording
@@ -197,6 +199,7 @@ class GuidedCapture:
 
     def _feed(self, lines: Sequence[str]) -> None:
         assert self._table is not None
+        assert self._steps is not None
         places = [self._table.columns[name].position for name in self._names]
         timed = TIME in self._table.columns and "sample_rate_hz" not in self._options
         clock = [self._table.columns[TIME].position] if timed else []
@@ -208,52 +211,9 @@ class GuidedCapture:
             steps = np.diff(rows[:, -1], prepend=self._last)
             usual = self._clock_step if np.isfinite(self._clock_step) else float(np.nanmean(steps))
             if (steps > _PAUSE * usual).any():
-                self._watch.end(missing=True)
+                self._steps.gap()
             self._clock_step, self._last = usual, float(rows[-1, -1])
-        self._watch.add(rows[:, : len(places)] * self._scale - self._offset)
-
-    def _guide(self) -> Guidance:
-        watch = self._watch
-        self._enough &= watch.still > 0
-        if watch.still == 0 or (watch.repeated and not self._enough):
-            self._now = replace(self._now, state="turn" if watch.rests else "begin", seconds=0.0)
-        elif not self._enough:
-            self._now = replace(self._now, state="hold", seconds=watch.still, of=self._to_hold())
-            self._enough = watch.still >= self._now.of
-            if self._enough:
-                self._judge()
-        return self._now
-
-    def _to_hold(self) -> float:
-        """Return how long a rest is held: until its mean is as well known as a bias shall be."""
-        if self._watch.rests == 0:
-            return _FIRST
-        target = next((each.value for each in self._until if each.effect == "accel_bias"), float("inf"))
-        return float(np.clip(self._interval * (self._watch.noise / target) ** 2, _SHORTEST, _LONGEST))
-
-    def _judge(self) -> None:
-        """Read the recording so far as a campaign, and say what it determines."""
-        design, trouble = self._design()
-        known = replace(self._now, state="enough", trouble=trouble, up=None, poses=self._watch.rests + 1)
-        if design is not None:
-            largest = {each.effect: float(design.deviations(each.effect).max()) for each in self._until}
-            missing = {each.effect: each.value for each in self._until if largest[each.effect] > each.value}
-            done = not missing and design.poses >= LEAST_TO_JUDGE
-            up = None if done else design.next_up(missing or {each.effect: each.value for each in self._until})
-            known = replace(known, poses=design.poses, largest=largest, open=tuple(missing), up=up)
-            known = replace(known, state="done" if done else "enough")
-        self._now = known
-
-    def _design(self) -> tuple[PoseDesign | None, str]:
-        try:
-            with tempfile.TemporaryDirectory() as place:
-                folder = Path(place) / "campaign"
-                read_recordings([self._part], "capture", **self._options).write(folder)
-                return design_of(load_campaign(folder, judge_setup=False), self._interval), ""
-        except InputError as error:
-            # Too few poses at the beginning are no trouble.
-            few = self._watch.rests + 1 < LEAST_TO_JUDGE // 2
-            return None, "" if few else error.issues[0].what
+        self._steps.add(rows[:, : len(places)] * self._scale - self._offset, lines)
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:

@@ -16,6 +16,7 @@ from imubayes_recordings.convert.formats import (
     ulog,
     vectornav,
 )
+from imubayes_recordings.convert.formats.files_of_folder import FilesOfFolder
 from imubayes_recordings.convert.formats.text import TextRecording
 from imubayes_recordings.convert.recording import ForeignRecording, RecordingKind, SourceRecording
 
@@ -94,13 +95,10 @@ def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
 
 
 def _of_folder(folder: Path, delimiter: str | None) -> SourceRecording:
-    """Return the recording of a folder: a ROS 2 bag, or the only file that an EuRoC folder has."""
+    """Return the recording of a folder: a ROS 2 bag, the only file of an EuRoC folder, or a file for each sensor."""
     if (folder / ros_bag.FOLDER_FILE).is_file():
         return ForeignRecording(folder, _ROS_BAG)
     for inside in ("data.csv", "imu0/data.csv", "mav0/imu0/data.csv"):
         if (folder / inside).is_file():
             return ForeignRecording(folder / inside, _text(delimiter))
-    files = ", ".join(sorted(path.name for path in folder.iterdir())[:12])
-    raise input_error(
-        f"'{folder}' is a folder", str(folder), f"a ROS 2 bag, an EuRoC folder, or a file: {files}", "name the file"
-    )
+    return FilesOfFolder(folder, lambda file: open_recording(file, delimiter))
