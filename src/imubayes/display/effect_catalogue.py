@@ -85,6 +85,13 @@ def print_effect(effect: str) -> None:
         if declared.coarse is not None:
             wider = ", ".join(f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer"))
             console.print(f"default prior of {name} for a coarser unit: {wider}", highlight=False)
+        if declared.of_gyro is not None:
+            low, high = declared.typical_of("gyro")
+            of_scale = declared.unit.replace("output", "scale")
+            prior = declared.prior_of("tactical", "gyro")
+            console.print(
+                f"{name} of a gyro: default prior {prior}, typical {low:g} … {high:g} {of_scale}", highlight=False
+            )
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
