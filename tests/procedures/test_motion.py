@@ -303,9 +303,6 @@ def test_an_asymmetry_beyond_its_prior_contradicts_it() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="3 % is beyond the sizes in which an asymmetry is looked for; converter_nonlinearity has too wide a range"
-)
 def test_an_asymmetry_that_the_model_lacks_is_named() -> None:
     found = diagnosed(0.03)
     assert found.verdict == "missing_effect"

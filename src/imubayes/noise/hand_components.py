@@ -104,17 +104,19 @@ class HandVelocity(SlowNoise):
     time: Scalar = parameter("s", "lognormal(0.4 s, 1)", (0.05, 5), "the correlation time τ of the velocity")
 
     def states(self, row: RowSpan) -> StateCovariance:
-        """Return the covariance, with R(t) = Re[v² (1 − i) exp(−ct)], c = (1 + i)/τ, by the real and imaginary part."""
-        x, one = row.length / self.time, jnp.ones(2)
-        gone = 1 - jnp.exp(-(1 + 1j) * x)
-        mean = -gone / row.length * jnp.exp(-1j * row.start / self.time)
-        end = (1 - 1j) * self.v**2 * gone / row.length * jnp.exp(1j * (row.start + row.length) / self.time)
-        follows = jnp.isfinite(row.gap)
+        """Return the covariance by two states, real and imaginary part: R(t) = Re[v² (1 − i) exp(−(1 + i) t/τ)]."""
+        x, begin, end = row.length / self.time, row.start / self.time, (row.start + row.length) / self.time
+        kept = jnp.exp(-x)
+        gone, turned = 1 - kept * jnp.cos(x), kept * jnp.sin(x)  # of 1 − exp(−(1 + i) x)
+        size, follows = self.v**2 / row.length, jnp.isfinite(row.gap)
         over_gap = jnp.where(follows, jnp.exp(-jnp.where(follows, row.gap, 0.0) / self.time), 0.0)
+        cosine, sine = jnp.cos(begin), jnp.sin(begin)
+        mean = jnp.stack([-gone * cosine - turned * sine, turned * cosine - gone * sine]) / row.length
+        along, across, cosine, sine = gone + turned, turned - gone, jnp.cos(end), jnp.sin(end)
         return StateCovariance(
-            2 * (self.v / row.length) ** 2 * jnp.real((1 - 1j) * gone + 1j),
-            jnp.stack([jnp.real(mean), -jnp.imag(mean)]),
-            jnp.stack([jnp.real(end), jnp.imag(end)]),
-            over_gap * one,
-            jnp.exp(-x) * one,
+            2 * size * along / row.length,
+            mean,
+            size * jnp.stack([along * cosine - across * sine, along * sine + across * cosine]),
+            over_gap * jnp.ones(2),
+            kept * jnp.ones(2),
         )
