@@ -22,7 +22,7 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import prior_widths
-from imubayes.noise.components import RowSpan
+from imubayes.noise.components import RowSpan, StateCovariance
 from imubayes.noise.hand_components import HandVelocity
 from imubayes.procedures import classical
 
@@ -172,15 +172,18 @@ def test_rows_have_the_covariance_of_a_velocity_that_oscillates() -> None:
     gap = np.where(rng.uniform(size=12) < 0.5, 0.0, rng.uniform(0, 2, 12))
     start = np.cumsum(gap + np.concatenate([[0.0], length[:-1]]))
     velocity = HandVelocity(v=jnp.array(0.13), time=jnp.array(0.4))
-    spans = RowSpan(jnp.asarray(start), jnp.asarray(length), jnp.asarray(gap).at[0].set(jnp.inf), jnp.ones(2))
-    axes = RowSpan(start=0, length=0, gap=0, times=None)  # pyright: ignore[reportArgumentType]
-    found = jax.tree.map(np.asarray, jax.jit(jax.vmap(velocity.states, in_axes=(axes,)))(spans))
+
+    def states(start: jax.Array, length: jax.Array, gap: jax.Array) -> StateCovariance:
+        return velocity.states(RowSpan(start, length, gap, jnp.ones(2)))
+
+    before = np.concatenate([[np.inf], gap[1:]])
+    found = jax.tree.map(np.asarray, jax.jit(jax.vmap(states))(*map(jnp.asarray, (start, length, before))))
     covariance = np.diag(found.variance)
-    for before in range(12):
-        state = found.end[before]
-        for row in range(before + 1, 12):
+    for first in range(12):
+        state = found.end[first]
+        for row in range(first + 1, 12):
             state = state * found.over_gap[row]
-            covariance[before, row] = covariance[row, before] = state @ found.mean[row]
+            covariance[first, row] = covariance[row, first] = state @ found.mean[row]
             state = state * found.over_row[row]
     ends = np.concatenate([start, start + length])
     apart = np.abs(ends[:, None] - ends) / 0.4
