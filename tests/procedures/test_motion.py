@@ -320,6 +320,7 @@ def test_a_lag_of_the_gyros_is_named_with_its_size() -> None:
     assert found.groups[0].effects == ("gyro_bandwidth",)
     for each in found.groups[0].candidates[0].coefficients:
         assert each.value is not None
+        assert each.sd is not None
         assert abs(each.value - 20.0) < 4 * each.sd
 
 
