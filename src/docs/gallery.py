@@ -126,8 +126,11 @@ def _parameters(member: EffectClass) -> str:
         low, high = declared.typical
         scanned = f"; `diagnose` scans {', '.join(f'{each:g}' for each in declared.shape)}" if declared.shape else ""
         wider = [f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer")]
-        priors = "; ".join([declared.prior, *(wider if declared.coarse is not None else [])])
-        rows.append((f"`{name}`", declared.meaning + scanned, declared.unit, f"{low:g} … {high:g}", priors))
+        priors, met = [declared.prior, *(wider if declared.coarse is not None else [])], f"{low:g} … {high:g}"
+        if declared.of_gyro is not None:
+            of_gyro, (low, high) = declared.of_gyro
+            priors, met = [*priors, f"{of_gyro} (gyro)"], f"{met}; {low:g} … {high:g} (gyro)"
+        rows.append((f"`{name}`", declared.meaning + scanned, declared.unit, met, "; ".join(priors)))
     return table(("parameter", "meaning", "unit", "met in practice", "default prior"), rows)
 
 

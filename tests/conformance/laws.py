@@ -181,13 +181,15 @@ def units_and_priors_are_known(member: type) -> None:
     assert declared_parameters(member), f"{member.name} has no parameter"
     for field, parameter in declared_parameters(member).items():
         assert to_si(parameter.unit, GRAVITY, own=OWN) > 0
-        prior = parse_prior(parameter.prior, parameter.unit, GRAVITY, f"{member.name}.{field}", OWN)
-        low, high = parameter.typical
-        assert 0 < low < high, f"{member.name}.{field}: typical range {parameter.typical}"
-        if "noise" not in parameter.prior and np.isfinite(prior.sd()):
-            # Of what is in output units the typical sizes are in those of the nominal scale.
-            width = prior.sd() / to_si(parameter.unit, GRAVITY, own=OWN | {"output": OWN["scale"]})
-            assert width > 0.1 * low, f"{member.name}.{field}: the prior leaves no room for what is typical"
+        for kind in ("", "gyro"):
+            low, high = parameter.typical_of(kind)
+            assert 0 < low < high, f"{member.name}.{field}: typical range {(low, high)}"
+            stated = parameter.prior_of("tactical", kind)
+            prior = parse_prior(stated, parameter.unit, GRAVITY, f"{member.name}.{field}", OWN)
+            if "noise" not in stated and np.isfinite(prior.sd()):
+                # Of what is in output units the typical sizes are in those of the nominal scale.
+                width = prior.sd() / to_si(parameter.unit, GRAVITY, own=OWN | {"output": OWN["scale"]})
+                assert width > 0.1 * low, f"{member.name}.{field}: the prior leaves no room for what is typical"
 
 
 def stage_and_covariates_are_known(member: type) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.numerics import inverse_of_precision
-from imubayes.inference.nested_laplace import bends, curved_directions, posterior_precision
+from imubayes.inference.nested_laplace import bends, curved_directions, posterior_precision, ridge_points
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
@@ -57,3 +57,15 @@ def test_bent_steps_keep_to_the_ridge():
     strong = vectors[:, :-3]
     planted = bends(problem, at, weak, jnp.asarray(reach), jnp.asarray((strong * variances[:-3]) @ strong.T))
     assert left_over(np.asarray(weak), reach, np.asarray(planted)) > 1
+
+
+def test_the_distance_from_the_ridge_does_not_depend_on_the_signs_of_directions() -> None:
+    """An eigenvalue solver leaves the sign of each direction open, and the basis of directions of equal variance."""
+    rng = np.random.default_rng(1)
+    weak = np.linalg.qr(rng.normal(size=(7, 3)))[0]
+    reach, bend = np.array([0.9, 0.4, 0.4]), rng.normal(size=(3, 3, 7))
+    basis = np.array([[-1.0, 0, 0], [0, 0.6, 0.8], [0, 0.8, -0.6]])
+    turned = np.einsum("ai,bj,abp->ijp", basis, basis, bend)
+    as_it_is = ridge_points(np.zeros(7), weak, reach, bend + bend.swapaxes(0, 1))
+    otherwise = ridge_points(np.zeros(7), weak @ basis, reach, turned + turned.swapaxes(0, 1))
+    np.testing.assert_allclose(as_it_is, otherwise, atol=1e-12)

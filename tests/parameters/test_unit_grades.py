@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from imubayes.campaign.unit_grade import grade_of
@@ -104,3 +105,19 @@ def test_a_default_prior_is_that_of_the_grade_and_a_written_one_stands():
     assert sd(with_noise(0.1, 0.1), cubic="normal(0, 0.2 ppm/(deg/s)^2)") == pytest.approx(0.2)
     # A fact of the equipment belongs to no grade.
     assert sd(replace(plain, grade="consumer"), "mounting_error") == sd(plain, "mounting_error")
+
+
+def test_the_output_of_a_gyro_is_per_deg_s_and_that_of_an_accelerometer_per_g():
+    """The range of a converter is 400 deg/s or 12 g: at the largest size it bends by 1 … 2 per mille there."""
+    among = with_noise(0.008, 0.1)
+    by_kind = {channel.name: channel for channel in among.channels}
+    bent: dict[str, list[np.ndarray]] = {"gyro": [], "accelerometer": []}
+    for each in bind(spec("converter_nonlinearity"), among).layout.parameters:
+        channel = by_kind[each.label[0]]
+        unit, full = (np.radians(1), 400) if channel.kind == "gyro" else (among.site.gravity, 12)
+        power = 1 if each.field == "quadratic" else 2
+        share = np.array(each.typical) * (abs(channel.scale_si) * unit * full) ** power
+        bent[channel.kind].append(share)
+        assert each.prior_sd == pytest.approx(0.1 * each.typical[1], rel=0.01)
+    for shares in bent.values():
+        assert np.max(shares) == pytest.approx(1500, rel=0.3)  # ppm

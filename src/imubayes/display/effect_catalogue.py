@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from collections.abc import Iterator
 
 from rich.console import Console
 from rich.markup import escape
@@ -16,7 +17,7 @@ from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.foundations.wording import counted
 from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.parameters.declarations import declared_options, declared_parameters
+from imubayes.parameters.declarations import Declared, declared_options, declared_parameters
 
 
 def print_catalogue() -> None:
@@ -83,9 +84,8 @@ def print_effect(effect: str) -> None:
         if declared.shape:
             tried = ", ".join(f"{value:g}" for value in declared.shape)
             console.print(f"diagnose scans {name} over {tried} {declared.unit}", highlight=False)
-        if declared.coarse is not None:
-            wider = ", ".join(f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer"))
-            console.print(f"default prior of {name} for a coarser unit: {wider}", highlight=False)
+        for line in _further_priors(name, declared):
+            console.print(line, highlight=False)
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
@@ -99,6 +99,17 @@ def print_effect(effect: str) -> None:
 
 def _scope(member: EffectClass) -> str:
     return ", ".join(member.per) or "campaign"
+
+
+def _further_priors(name: str, declared: Declared) -> Iterator[str]:
+    """Yield the default priors of a parameter for other units than that of the table: coarser ones, and gyros."""
+    if declared.coarse is not None:
+        wider = ", ".join(f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer"))
+        yield f"default prior of {name} for a coarser unit: {wider}"
+    if declared.of_gyro is not None:
+        prior, (low, high) = declared.of_gyro
+        of_scale = declared.unit.replace("output", "scale")
+        yield f"{name} of a gyro: default prior {prior}, typical {low:g} … {high:g} {of_scale}"
 
 
 def _acts_on(member: EffectClass) -> str:

@@ -102,16 +102,21 @@ class ConverterGainHysteresis(Gain, formulas.ThermalHysteresisScale):
 class ConverterNonlinearity(Gain, SignalEffect):
     """Gain error that depends on the input: signal · (1 + q·signal + c·signal²), signal in output units.
 
-    The priors are in `scale`, the nominal output for 1 deg/s or 1 g: 10 ppm/scale is 120 ppm at 12 g.
+    The priors are in `scale`, the nominal output for 1 deg/s or 1 g: 10 ppm/scale is 120 ppm at 12 g.  A converter
+    bends by a share of its range: on a gyro, whose 400 deg/s take the place of 12 g, the change per unit is smaller.
     """
 
     name = "converter_nonlinearity"
     confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity (exactly, without injected current)"
     reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
-    quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (0.1, 100), "the gain change per output")
+    quadratic: Scalar = parameter(
+        "ppm/output", "normal(0, 10 ppm/scale)", (0.1, 100), "the gain change per output",
+        of_gyro=("normal(0, 0.3 ppm/scale)", (0.003, 3)),
+    )  # fmt: skip
     cubic: Scalar = parameter(
-        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (0.01, 10), "the gain change per output squared"
-    )
+        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (0.01, 10), "the gain change per output squared",
+        of_gyro=("normal(0, 0.001 ppm/scale^2)", (1e-5, 1e-2)),
+    )  # fmt: skip
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal * (1 + self.quadratic * signal + self.cubic * signal**2)

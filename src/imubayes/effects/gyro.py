@@ -213,9 +213,9 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
 class GyroScaleAsymmetry(Gyro, formulas.ScaleAsymmetry):
     name = "gyro_scale_asymmetry"
     confused_with = "gyro_scale_quadratic if few rates are tested; a bias, at one rate"
-    reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
+    reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm, of consumer gyros to 3000 ppm"
     asymmetry: Scalar = parameter(
-        "ppm", "normal(0, 100 ppm)", (10, 300), "half the scale factor difference", coarse=(1000, 3000)
+        "ppm", "normal(0, 100 ppm)", (10, 3000), "half the scale factor difference", coarse=(1000, 3000)
     )
 
 

@@ -217,8 +217,7 @@ def chord_steps(
     inverse = inverse_within(precision, scipy.linalg.null_space(weak.T))
     pulled = inverse_covariance(problem, whitener(problem, mode.h), mode.about.jacobian)[0]
     chords = ChordSteps(inverse @ pulled.T, inverse * prior_widths(problem, mode.h)[None, :] ** -2, 0)
-    w = reach * np.random.default_rng(0).normal(size=(_RIDGE_POINTS, reach.size))
-    z = mode.z + w @ weak.T + 0.5 * np.einsum("ni,nj,ijp->np", w, w, bend)
+    z = ridge_points(mode.z, weak, reach, bend)
     before = np.inf
     for count in range(_MOST_CHORDS + 1):
         step = chords.step(problem, z)
@@ -229,6 +228,21 @@ def chord_steps(
             return None
         z, before = z + step, size
     return replace(chords, steps=_MOST_CHORDS)
+
+
+def ridge_points(middle: np.ndarray, weak: np.ndarray, reach: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """Return bent points over which the distance from the ridge is judged, (n, P).
+
+    Normal vectors of all parameters are projected on the directions: the points do not depend on the signs of the
+    directions, which are those of an eigenvalue solver, nor on the basis of directions of equal variance.
+
+    Parameters
+    ----------
+    middle : shape (P,), the mode.
+    weak, reach, bend : as of `curved_directions`.
+    """
+    w = reach * (np.random.default_rng(0).normal(size=(_RIDGE_POINTS, len(middle))) @ weak)
+    return middle + w @ weak.T + 0.5 * np.einsum("ni,nj,ijp->np", w, w, bend)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, 
 from imubayes.model.assembly import Assembly
 from imubayes.model.nodes_and_entries import NodeTable, servo_runs
 from imubayes.model.signal_path import Broadcast, Channels, Layer, initial_path, propagate
+from imubayes.procedures.carried import nominal_rates
 from imubayes.procedures.servo_table import driving_channel, turns_of
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ else:
 # Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the sixth is 1e-9.
 # The derivative is that of the exact inverse: after fewer rounds the two would not agree.
 _ROUNDS = 6
+# Steps of a transition for which the slope of the rate is known to the second order at its ends as well.
+_LEAST_STEPS = 3
 
 
 class Transitions(eqx.Module):
@@ -50,6 +53,7 @@ class Transitions(eqx.Module):
     step : shape (T, K), s.
     readings : kind → shape (T·K, C), output units.
     coning : shape (T, K, 3), rad.
+    acceleration : shape (T·K, 3), rad/s², body axes; the slope of the nominal rates, for gyros that lag.
     ambient : covariates of every step, T·K of them: those of the preceding pose.
     records : the static nodes in the order of time, for effects with memory.
     inverse : kind → shape (3, C); least-squares inverse of the nominal axes.
@@ -62,6 +66,7 @@ class Transitions(eqx.Module):
     step: Float[Array, "T K"]
     readings: dict[str, Float[Array, "TK C"]]
     coning: Float[Array, "T K 3"]
+    acceleration: Float[Array, "TK 3"]
     ambient: Ambient
     records: Records
     inverse: dict[str, Float[Array, "3 C"]]
@@ -92,6 +97,7 @@ def bind_transitions(assembly: Assembly) -> Transitions | None:
         step=step,
         readings=_readings_by_kind(assembly, step, readings),
         coning=_padded([tumble.coning for _, tumble in tumbles], steps),
+        acceleration=_padded([_slopes(tumble, campaign) for _, tumble in tumbles], steps).reshape(-1, 3),
         ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
         records=assembly.nodes.records.at(node),
         inverse={kind: nominal_inverse(channels.axes) for kind, channels in assembly.channels.items()},
@@ -116,6 +122,20 @@ def _padded(arrays: list[np.ndarray], steps: int) -> np.ndarray:
     """Return arrays (T_i, K_i, …) joined along the first axis, the second padded with zeros to `steps`."""
     widths = [[(0, 0), (0, steps - array.shape[1]), *[(0, 0)] * (array.ndim - 2)] for array in arrays]
     return np.concatenate([np.pad(array, width) for array, width in zip(arrays, widths, strict=True)])
+
+
+def _slopes(tumble: Tumble, campaign: Campaign) -> np.ndarray:
+    """Return the angular acceleration in every step by the nominal gyros, (T, K, 3), rad/s², body axes.
+
+    An effect of the acceleration is small, so that errors of the nominal scale do not matter; biases have no slope.
+    """
+    rate, found = nominal_rates(tumble, campaign), np.zeros((*tumble.step.shape, 3))
+    for place, length in enumerate(tumble.step):
+        count = int(np.sum(length > 0))
+        if count >= _LEAST_STEPS:
+            middle = (np.cumsum(length) - length / 2)[:count]
+            found[place, :count] = np.gradient(rate[place, :count], middle, axis=0, edge_order=2)
+    return found
 
 
 def _readings_by_kind(assembly: Assembly, step: np.ndarray, readings: np.ndarray) -> dict[str, Array]:
@@ -250,7 +270,8 @@ def _correction(transitions: Transitions, channels: dict[str, Channels], found: 
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):
     """Return the predicted channel outputs, kind → (T·K, C)."""
     zero = jnp.zeros_like(next(iter(found.values())))
-    body = Experience(found.get("gyro", zero), found.get("accelerometer", zero), zero, zero, zero, zero)
+    rate, force = found.get("gyro", zero), found.get("accelerometer", zero)
+    body = Experience(rate, force, zero, transitions.acceleration, zero, zero)
     experience = {
         kind: jax.tree.map(lambda leaf, of=known: jnp.broadcast_to(leaf[:, None], (len(leaf), len(of.scale), 3)), body)
         for kind, known in channels.items()

@@ -137,7 +137,7 @@ def hyper_fields(effect_class: EffectClass) -> set[str]:
 
 def default_prior(declared: Declared, kind: str, campaign: Campaign) -> str:
     """Return the default prior of a parameter on channels of a kind; empty for effects on no channel."""
-    return declared.prior_of(grade_of(campaign, kind)) if kind else declared.prior
+    return declared.prior_of(grade_of(campaign, kind), kind) if kind else declared.prior
 
 
 def parameter_of(
@@ -163,7 +163,7 @@ def parameter_of(
         prior = parse_prior(spec.prior[field], declared.unit, gravity, where, units.si)
         _check_family(prior, field, declared, where, field in hyper_fields(effect_class))
     else:
-        usual = declared.prior_of(grade_of(campaign, channel.kind)) if channel is not None else declared.prior
+        usual = default_prior(declared, "" if channel is None else channel.kind, campaign)
         prior = parse_prior(usual, declared.unit, gravity, where, units.si)
         prior = _from_equipment(declared.equipment, label, campaign, prior)
         if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
@@ -172,7 +172,8 @@ def parameter_of(
     factor, of_scale = (to_si(declared.unit, gravity, where, own) for own in (units.si, as_scale))
     names = tuple(label.values()) or ("all",)
     output = _output_unit(effect_class, label, campaign)
-    low, high = (size * of_scale / factor for size in declared.typical)
+    typical = declared.typical if channel is None else declared.typical_of(channel.kind)
+    low, high = (size * of_scale / factor for size in typical)
     return Parameter(
         effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance, output, (low, high)
     )
@@ -191,8 +192,9 @@ def largest_typical(effect_class: EffectClass, campaign: Campaign, channel: str 
     """Return the largest typical size of each parameter, SI, for a channel or the first that the class can act on."""
     gravity, known = campaign.site.gravity, _representative_channel(effect_class, {"channel": channel}, campaign)
     scale = 1.0 if known is None else _nominal_scale(known, gravity)
+    kind = "" if known is None else known.kind
     return {
-        field: declared.typical[1] * to_si(declared.unit, gravity, effect_class.name, _output_as_scale(scale))
+        field: declared.typical_of(kind)[1] * to_si(declared.unit, gravity, effect_class.name, _output_as_scale(scale))
         for field, declared in declared_parameters(effect_class).items()
     }
 

@@ -65,10 +65,17 @@ class Declared:
     shape: tuple[float, ...] = ()
     coarse: tuple[float, float] | None = None
     domain: Domain | None = None
+    of_gyro: tuple[str, tuple[float, float]] | None = None
 
-    def prior_of(self, grade: Grade) -> str:
-        """Return the default prior for a grade of unit, as written in a model file."""
+    def prior_of(self, grade: Grade, kind: str = "") -> str:
+        """Return the default prior on a kind of channel for a grade of unit, as written in a model file."""
+        if kind == "gyro" and self.of_gyro is not None:
+            return self.of_gyro[0]
         return graded_prior(self.prior, self.unit, self.coarse, grade)
+
+    def typical_of(self, kind: str) -> tuple[float, float]:
+        """Return the smallest and largest magnitude met in practice on a kind of channel."""
+        return self.of_gyro[1] if kind == "gyro" and self.of_gyro is not None else self.typical
 
 
 def parameter(
@@ -83,6 +90,7 @@ def parameter(
     shape: tuple[float, ...] = (),
     coarse: tuple[float, float] | None = None,
     domain: Domain | None = None,
+    of_gyro: tuple[str, tuple[float, float]] | None = None,
 ) -> Any:
     """Declare a field of an effect as a parameter.
 
@@ -103,6 +111,8 @@ def parameter(
     coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None if it is the same
         for all grades.
     domain : possible values, by default those of its unit; None if only the prior limits them.
+    of_gyro : default prior and typical range on a gyro, if those of `prior` and `typical` hold on an accelerometer
+        only: a coefficient of the output squared is per deg/s on a gyro, and per g on an accelerometer.
 
     Examples
     --------
@@ -112,7 +122,7 @@ def parameter(
     'normal(0, 10 deg/h)'
     """
     possible = domain or DOMAINS.get(unit)
-    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse, possible)
+    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse, possible, of_gyro)
     return eqx.field(metadata={"parameter": declared})
 
 
