@@ -1,0 +1,237 @@
+"""Windows of a raw log in which the table moves: the angle of its encoder is known at every sample.
+
+A spline of the seventh degree is fitted to the readings of the encoder by least squares.  Its knots are two hundredths
+of a second or three samples apart: 8 Hz is followed to 1e-5 of the rate.  The log between the levels is divided into
+windows, and a window is halved until a polynomial of the sixth degree follows the spline and the rate varies less
+within it than around it.  What a window is worth for scale factors is its mean rate: the mean over half a period of a
+sinusoid still has 64 % of the amplitude, that over a period nothing.
+
+The mean rate of a window is the difference of the angles at its ends over its length, so that windows that follow one
+another share an angle.  A window is left out if the spline misses the encoder there by more than its usual scatter: a
+step of the acceleration, or a damaged reading.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy  # loads its parts when they are first used
+
+from imubayes.campaign.reduction.constant_spans import Span
+from imubayes.campaign.run_tables import RowBatch
+from imubayes.procedures.followed_rows import NODES
+
+_DEGREE, _KNOT_SECONDS, _KNOT_SAMPLES = 7, 0.02, 3
+_MOST_SECONDS = 0.5  # of a window
+_WITHIN = 0.75  # standard deviation of the rate within a window, of that around it
+_AROUND_SECONDS = 1.0  # to both sides of the middle of a window
+_NOISE, _MISSED = 3.0, 1.5  # standard deviations of a reading: of the polynomial from the spline; of the spline, rms
+_NEGLIGIBLE = 1e-5  # deg; 0.04 arcsec
+_GAP = 1.5  # sampling intervals; samples are missing
+_MARGIN = 40  # samples beside a stretch that the spline follows as well
+_LEAST = 4 * (_DEGREE + 1)  # samples of a stretch
+_DIFFERENCES = 6
+DERIVATIVES = 7
+# The ends and points between at which the polynomial equals the spline, over half a window; and where it is judged.
+_PLACES = -np.cos(np.pi * np.arange(DERIVATIVES) / (DERIVATIVES - 1))
+_BETWEEN = (_PLACES[1:] + _PLACES[:-1]) / 2
+_FROM_PLACES = np.linalg.inv(np.vander(_PLACES, increasing=True))
+_TO_BETWEEN = np.vander(_BETWEEN, DERIVATIVES, increasing=True) @ _FROM_PLACES
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The windows of a log (W of them), in its order.
+
+    Attributes
+    ----------
+    start, stop : shape (W,), rows of the log, `stop` exclusive.
+    seconds : shape (W,).
+    rate : shape (W,), mean, deg/s.
+    derivatives : shape (7, W), of the angle in the middle, the zeroth to the sixth, deg/sⁿ.
+    span : shape (W,), range of the angle, deg.
+    lost : rows between levels that are in no window.
+    """
+
+    start: np.ndarray
+    stop: np.ndarray
+    seconds: np.ndarray
+    rate: np.ndarray
+    derivatives: np.ndarray
+    span: np.ndarray
+    lost: int = 0
+
+    def spans(self) -> list[Span]:
+        """Return the windows as spans."""
+        return [
+            Span(start, stop, turning=True, passing=True)
+            for start, stop in zip(self.start.tolist(), self.stop.tolist(), strict=True)
+        ]
+
+    def at(self, chosen: np.ndarray) -> "Windows":
+        """Return chosen windows."""
+        columns = (self.start, self.stop, self.seconds, self.rate, self.derivatives, self.span)
+        return Windows(*(column[..., chosen] for column in columns), self.lost)
+
+    @staticmethod
+    def joined(parts: list["Windows"], lost: int) -> "Windows":
+        """Return the windows of several stretches in one."""
+        names = ("start", "stop", "seconds", "rate", "derivatives", "span")
+        return Windows(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names), lost)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The angle over a stretch of a log without gaps: its rows from `first` on.
+
+    Attributes
+    ----------
+    time, residual : shape (n,), s since the first row, and reading less spline, deg.
+    spline, trend : of the angle less a straight line, and the line, deg; the angle is their sum.
+    variance : of a reading, from the residuals and the degrees of freedom, deg².
+    """
+
+    first: int
+    time: np.ndarray
+    residual: np.ndarray
+    spline: "scipy.interpolate.BSpline"
+    trend: np.ndarray
+    variance: float
+
+    def angle(self, time: np.ndarray) -> np.ndarray:
+        """Return the angle at times, deg."""
+        return self.spline(time) + np.polyval(self.trend, time)
+
+    def rate(self) -> np.ndarray:
+        """Return the rate at the samples, deg/s, shape (n,)."""
+        return self.spline(self.time, 1) + self.trend[0]
+
+
+def encoder_log(batches: Iterable[RowBatch]) -> np.ndarray:
+    """Return the columns `time_s` and `table_angle_deg` of a log, (2, N)."""
+    columns = [np.stack([batch.numbers[name] for name in ("time_s", "table_angle_deg")]) for batch in batches]
+    return np.concatenate(columns, axis=1) if columns else np.zeros((2, 0))
+
+
+def reading_noise(log: np.ndarray) -> float:
+    """Return the standard deviation of a reading of the angle by its sixth differences, deg, which no motion enters.
+
+    Parameters
+    ----------
+    log : see `encoder_log`.
+    """
+    reading = np.unwrap(log[1, np.isfinite(log[1])], period=360.0)
+    differences = np.abs(np.diff(reading, _DIFFERENCES))
+    size = math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES))
+    return 1.4826 * float(np.median(differences)) / size if len(differences) else 0.0
+
+
+def moving_windows(log: np.ndarray, stretches: list[tuple[int, int]]) -> Windows:
+    """Return the windows of the stretches of a log in which no stimulus is constant.
+
+    Parameters
+    ----------
+    log : see `encoder_log`.
+    stretches : first row of each, and the row after its last.
+    """
+    time, angle = log
+    interval = float(np.median(np.diff(time))) if len(time) > 1 else math.nan
+    broken = ~np.isfinite(time) | ~np.isfinite(angle)
+    step = np.diff(time, prepend=math.nan)
+    begins = np.flatnonzero(broken | ~((step > 0) & (step < _GAP * interval)))
+    paths: list[tuple[_Path, int, int]] = []
+    for first, last in stretches:
+        edges = [first, *begins[(begins > first) & (begins < last)].tolist(), last]
+        for start, stop in pairwise(edges):
+            start += bool(broken[start])
+            if stop - start >= _LEAST:
+                paths.append((_path(time, angle, begins, start, stop, interval), start, stop))
+    noise = math.sqrt(float(np.median([path.variance for path, _, _ in paths]))) if paths else 0.0
+    found = [_windows(path, start, stop, interval, max(noise, _NEGLIGIBLE)) for path, start, stop in paths]
+    rows = sum(last - first for first, last in stretches)
+    kept = sum(int(np.sum(each.stop - each.start)) for each in found)
+    empty = np.zeros(0, dtype=int)
+    none = Windows(empty, empty, np.zeros(0), np.zeros(0), np.zeros((DERIVATIVES, 0)), np.zeros(0))
+    return Windows.joined([none, *found], rows - kept)
+
+
+def _path(time: np.ndarray, angle: np.ndarray, begins: np.ndarray, start: int, stop: int, interval: float) -> _Path:
+    """Return the path of the rows start … stop − 1 and of those beside them that follow without a gap."""
+    before = begins[np.searchsorted(begins, start, side="right") - 1] if (begins <= start).any() else 0
+    later = begins[begins >= stop]
+    first, last = max(start - _MARGIN, int(before)), min(stop + _MARGIN, int(later[0]) if len(later) else len(time))
+    first += not np.isfinite(angle[first])
+    since, reading = time[first:last] - time[first], np.unwrap(angle[first:last], period=360.0)
+    trend = np.polyfit(since, reading, 1)
+    values = reading - np.polyval(trend, since)
+    spacing = max(_KNOT_SECONDS, _KNOT_SAMPLES * interval)
+    inner = np.linspace(0.0, since[-1], max(1, int(since[-1] / spacing)) + 1)
+    knots = np.concatenate([np.zeros(_DEGREE), inner, np.full(_DEGREE, since[-1])])
+    spline = scipy.interpolate.make_lsq_spline(since, values, knots, k=_DEGREE)
+    residual = values - spline(since)
+    freedom = max(1, len(since) - (len(knots) - _DEGREE - 1))
+    # Most windows have no step of the acceleration: the median is theirs.
+    variance = float(np.median(residual**2)) / 0.455 * len(since) / freedom
+    return _Path(first, since, residual, spline, trend, variance)
+
+
+def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) -> Windows:
+    """Return the windows of rows start … stop − 1 of a path; `noise` is that of a reading, deg."""
+    # At the very ends of a log half an interval beyond is unknown.
+    start, stop = max(start, path.first + 1), min(stop, path.first + len(path.time) - 1)
+    most = max(NODES, round(_MOST_SECONDS / interval))
+    edges = np.linspace(start, stop, max(1, math.ceil((stop - start) / most)) + 1).astype(int)
+    begin, end, found = edges[:-1], edges[1:], []
+    variation = _Variation(path.rate(), round(_AROUND_SECONDS / interval), start - path.first, stop - path.first)
+    misses = np.concatenate([[0.0], np.cumsum(path.residual**2)])
+    while len(begin):
+        each, off = _described(path, begin, end)
+        follows = off < max(_NOISE * noise, _NEGLIGIBLE)
+        local = begin - path.first, end - path.first
+        fine = follows & variation.small(*local)
+        halves = ~fine & (end - begin >= 2 * NODES)
+        # The spline is judged over a knot beside the window as well.
+        beside = _KNOT_SAMPLES + 1
+        low, high = np.maximum(local[0] - beside, 0), np.minimum(local[1] + beside, len(path.time))
+        missed = np.sqrt((misses[high] - misses[low]) / (high - low)) > _MISSED * noise
+        found.append(each.at((fine | (follows & ~halves)) & ~missed & (end - begin >= NODES)))
+        middle = (begin + end) // 2
+        begin, end = np.concatenate([begin[halves], middle[halves]]), np.concatenate([middle[halves], end[halves]])
+    joined = Windows.joined(found, 0)
+    return joined.at(np.argsort(joined.start, kind="stable"))
+
+
+class _Variation:
+    """Compares the variation of the rate within windows with that around them, within the stretch."""
+
+    def __init__(self, rate: np.ndarray, around: int, first: int, last: int):
+        about = rate - rate.mean()
+        self._sums = np.concatenate([[0.0], np.cumsum(about)]), np.concatenate([[0.0], np.cumsum(about**2)])
+        self._around, self._first, self._last = around, first, last
+
+    def small(self, start: np.ndarray, stop: np.ndarray) -> np.ndarray:
+        """Return which windows vary less within than around them, (W,) bool."""
+        middle = (start + stop) // 2
+        low, high = np.maximum(middle - self._around, self._first), np.minimum(middle + self._around, self._last)
+        return self._variance(start, stop) <= _WITHIN**2 * self._variance(low, high) + _NEGLIGIBLE**2
+
+    def _variance(self, start: np.ndarray, stop: np.ndarray) -> np.ndarray:
+        first, second = ((each[stop] - each[start]) / np.maximum(stop - start, 1) for each in self._sums)
+        return np.maximum(second - first**2, 0.0)
+
+
+def _described(path: _Path, begin: np.ndarray, end: np.ndarray) -> tuple[Windows, np.ndarray]:
+    """Return windows with the polynomial through the spline, and how far it is off in between at most, deg."""
+    first, last = path.time[begin - path.first], path.time[end - 1 - path.first]
+    count = end - begin
+    seconds = (last - first) * count / np.maximum(count - 1, 1)
+    middle, half = (first + last) / 2, seconds / 2
+    angle = path.angle(middle + half * _PLACES[:, None])
+    off = np.abs(path.angle(middle + half * _BETWEEN[:, None]) - _TO_BETWEEN @ angle).max(axis=0)
+    order = np.arange(DERIVATIVES)[:, None]
+    factorial = np.array([math.factorial(each) for each in range(DERIVATIVES)])[:, None]
+    derivatives = _FROM_PLACES @ angle * factorial / half**order
+    derivatives[0] %= 360.0
+    return Windows(begin, end, seconds, (angle[-1] - angle[0]) / seconds, derivatives, np.ptp(angle, axis=0)), off

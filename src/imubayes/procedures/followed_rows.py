@@ -1,0 +1,135 @@
+"""Nodes of rows in which the table moves: the angle of its encoder is known throughout the row.
+
+Within a row of T s the angle is a polynomial of the sixth degree in the time t since the middle of the row, given by
+its derivatives there; the rate of the row is the mean, (φ(T/2) − φ(−T/2))/T.  The outputs are N samples, one interval
+apart.  The nodes are those of the Gauss quadrature of the N samples: the mean over a row is then the mean of the
+samples, not an integral, to the 11th degree.  They are the abscissae of the discrete Chebyshev polynomials (Golub and
+Welsch, Math. Comp. 23 (1969), 221; recurrence: Abramowitz and Stegun 22.17).
+
+A lag acts on how a signal changes within the row.  The mean of dⁿx/dtⁿ over the row is a linear combination of the
+values of x at the nodes; the ratio of its weights to those of the mean is the covariate `row_slope_n` of each node.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.foundations.campaign_data import Run
+from imubayes.foundations.covariates import HIGHER_DERIVATIVES, ROW_SLOPES
+
+NODES = 6
+"""Nodes of a row, and the least number of its samples: derivatives of a quintic rate are exact."""
+
+
+@dataclass(frozen=True)
+class FollowedNodes:
+    """The nodes of rows in motion (n of them), in SI.
+
+    Attributes
+    ----------
+    row : shape (n,), the row that each belongs to.
+    weight : shape (n,), sums to 1 over the nodes of a row.
+    angle, rate, acceleration : shape (n,), of the table.
+    ambient : covariate name → shape (n,), the higher derivatives of the angle and `row_slope_n`.
+    """
+
+    row: np.ndarray
+    weight: np.ndarray
+    angle: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    ambient: dict[str, np.ndarray]
+
+
+def followed(run: Run) -> np.ndarray:
+    """Return which rows of a run follow the angle of the table, shape (R,) bool."""
+    return run.covariates.get("row_seconds", np.zeros(run.rows)) > 0
+
+
+def followed_nodes(run: Run) -> FollowedNodes:
+    """Return the nodes of the rows of a run that follow the angle of the table, row after row."""
+    rows = np.flatnonzero(followed(run))
+    known = run.covariates
+    seconds, counts = known["row_seconds"][rows], np.maximum(np.round(run.samples[rows]).astype(int), NODES)
+    quadratures = {count: quadrature(count) for count in np.unique(counts).tolist()}
+    place, weight, slopes = (
+        np.stack([quadratures[count][part] for count in counts.tolist()]) if len(rows) else np.zeros((0, NODES))
+        for part in range(3)
+    )
+    interval = seconds / counts
+    time = place * interval[:, None]
+    derivative = derivatives_at(time, angle_derivatives(run, rows))
+    ambient = {f"table_angle_d{order}": derivative[order] for order in HIGHER_DERIVATIVES}
+    ambient |= {
+        f"row_slope_{order}": slopes[:, :, order - 1] / interval[:, None] ** order if len(rows) else time
+        for order in ROW_SLOPES
+    }
+    return FollowedNodes(
+        np.repeat(rows, NODES),
+        weight.reshape(-1),
+        *(derivative[order].reshape(-1) for order in range(3)),
+        {name: values.reshape(-1) for name, values in ambient.items()},
+    )
+
+
+def angle_derivatives(run: Run, rows: np.ndarray) -> np.ndarray:
+    """Return the angle and its six derivatives in the middle of rows, (7, n), SI.
+
+    The rate of a row is its mean: φ' = mean − φ'''·T²/24 − φ⁽⁵⁾·T⁴/1920.
+    """
+    known = run.covariates
+    seconds = known["row_seconds"][rows]
+    higher = [known[f"table_angle_d{order}"][rows] for order in HIGHER_DERIVATIVES]
+    rate = known["table_rate"][rows] - higher[0] * seconds**2 / 24 - higher[2] * seconds**4 / 1920
+    return np.stack([known["table_angle"][rows], rate, known["table_acceleration"][rows], *higher])
+
+
+def derivatives_at(time: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
+    """Return a polynomial and its derivatives at times since the middle, (D, n, K).
+
+    Parameters
+    ----------
+    time : shape (n, K), s.
+    derivatives : shape (D, n), in the middle.
+    """
+    powers = np.stack([time**order / math.factorial(order) for order in range(len(derivatives))])
+    return np.stack(
+        [
+            np.einsum("dn,dnk->nk", derivatives[order:], powers[: len(derivatives) - order])
+            for order in range(len(derivatives))
+        ]
+    )
+
+
+def quadrature(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nodes of the mean of samples one apart, about their middle; their weights, and those of slopes.
+
+    Parameters
+    ----------
+    samples : their number N, at least `NODES`.
+
+    Returns
+    -------
+    Places (K,) and weights (K,) of the nodes, and ratios (K, 4) of the weights in mean derivatives to those in the mean.
+    """
+    order = np.arange(1, NODES)
+    beside = np.sqrt(order**2 * (samples**2 - order**2) / (4.0 * (4 * order**2 - 1)))
+    place, vectors = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
+    weight = vectors[0] ** 2
+    slope, ratios = _differentiation(place), []
+    through = weight
+    for _ in ROW_SLOPES:
+        through = through @ slope
+        ratios.append(through / weight)
+    return place, weight, np.stack(ratios, axis=1)
+
+
+def _differentiation(place: np.ndarray) -> np.ndarray:
+    """Return the matrix from values at places to the slopes there of the polynomial through them, (K, K)."""
+    apart = place[:, None] - place[None, :] + np.eye(len(place))
+    product = apart.prod(axis=1)
+    matrix = product[:, None] / product[None, :] / apart
+    np.fill_diagonal(matrix, 0.0)
+    # A constant has no slope.
+    return matrix - np.diag(matrix.sum(axis=1))
