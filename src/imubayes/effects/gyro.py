@@ -6,6 +6,8 @@ the magnetic field.
 
 from typing import Any
 
+import jax.numpy as jnp
+
 from imubayes.effects import shared_formulas as formulas
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import Gyro
@@ -291,7 +293,7 @@ class GyroBandwidth(Gyro, SignalEffect):
     """First-order bandwidth f = 1/(2πτ): τ·dy/dt + y = x, y the output and x the input, with bias and scale factor.
 
     A row of constant acceleration has the mean input less τ times its mean slope; one that follows the angle of the
-    table has the higher derivatives too, up to the fourth.  At a constant rate there is no lag.
+    table has the higher derivatives too, up to the fifth.  At a constant rate there is no lag.
     """
 
     name = "gyro_bandwidth"

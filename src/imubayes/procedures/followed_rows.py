@@ -73,6 +73,27 @@ def followed_nodes(run: Run) -> FollowedNodes:
     )
 
 
+def arc_slopes(run: Run, row: np.ndarray, points: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
+    """Return `row_slope_n` of the nodes of a run that belong to arcs at constant rate, 0 of others, (n,) each.
+
+    Parameters
+    ----------
+    row : shape (n,), of each node.
+    points, weights : shape (K,), places of the nodes of an arc, of its length, and their weights.
+    """
+    rate, span = run.covariates["table_rate"], np.abs(run.covariates["table_angle_span"])
+    arc = np.isfinite(run.covariates["table_angle"]) & (rate != 0) & (span > 0) & ~followed(run)
+    inside = arc[row]
+    per_second = rate[row] / np.where(inside, span[row], 1.0)  # nodes are in the order of angle, not of time
+    slope = _slope_ratios(points, weights)
+    arcs = np.count_nonzero(inside) // len(points)
+    found = {}
+    for place, order in enumerate(ROW_SLOPES):
+        found[f"row_slope_{order}"] = np.zeros(len(row))
+        found[f"row_slope_{order}"][inside] = np.tile(slope[:, place], arcs) * per_second[inside] ** order
+    return found
+
+
 def angle_derivatives(run: Run, rows: np.ndarray) -> np.ndarray:
     """Return the angle and its six derivatives in the middle of rows, (7, n), SI.
 
@@ -111,18 +132,22 @@ def quadrature(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns
     -------
-    Places (K,) and weights (K,) of the nodes, and ratios (K, 4) of the weights in mean derivatives to those in the mean.
+    Places (K,) and weights (K,) of the nodes; ratios (K, 5) of their weights in mean derivatives to those in the mean.
     """
     order = np.arange(1, NODES)
     beside = np.sqrt(order**2 * (samples**2 - order**2) / (4.0 * (4 * order**2 - 1)))
     place, vectors = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
     weight = vectors[0] ** 2
-    slope, ratios = _differentiation(place), []
-    through = weight
+    return place, weight, _slope_ratios(place, weight)
+
+
+def _slope_ratios(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the ratios (K, 5) of the weights in mean derivatives to those in the mean, of nodes with weights (K,)."""
+    slope, ratios, through = _differentiation(place), [], weight
     for _ in ROW_SLOPES:
         through = through @ slope
         ratios.append(through / weight)
-    return place, weight, np.stack(ratios, axis=1)
+    return np.stack(ratios, axis=1)
 
 
 def _differentiation(place: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import gauss_legendre
 from imubayes.procedures.ambient import ambient_of
-from imubayes.procedures.followed_rows import followed, followed_nodes
+from imubayes.procedures.followed_rows import arc_slopes, followed, followed_nodes
 
 
 @dataclass(frozen=True)
@@ -225,6 +225,12 @@ def _with_motion(
     moved = at_rest(run, campaign, [per_row.get(row, _NO_NODES) for row in range(run.rows)], to_local, mounting)
     ambient = moved.ambient | nodes.ambient | {"table_angle": nodes.angle, "table_rate": nodes.rate}
     still = np.zeros(len(constant.row))
+    # A rotating vector changes within a row of constant rate as well, unless it is a mean over whole turns.
+    held = (
+        constant.ambient
+        | dict.fromkeys(nodes.ambient, still)
+        | arc_slopes(run, constant.row, _ARC_POINTS / 2, _ARC_WEIGHTS / 2)
+    )
     joined = {
         name: np.concatenate([getattr(constant, name), getattr(moved, name)])
         for name in ("row", "weight", "base", "mounting", "reference_rate", "reference_acceleration", "pose")
@@ -235,10 +241,7 @@ def _with_motion(
         table_angle=np.concatenate([constant.table_angle, nodes.angle]),
         table_rate=np.concatenate([constant.table_rate, nodes.rate]),
         table_acceleration=np.concatenate([constant.table_acceleration, nodes.acceleration]),
-        ambient={
-            name: np.concatenate([constant.ambient.get(name, still) if name not in nodes.ambient else still, values])
-            for name, values in ambient.items()
-        },
+        ambient={name: np.concatenate([held.get(name, still), values]) for name, values in ambient.items()},
     )
 
 

@@ -224,9 +224,7 @@ def _motion_columns(numbers: dict[str, np.ndarray], windows: Windows, passing: n
 
     A rate column may be a command, which the table follows later.
     """
-    derivatives = {
-        f"table_angle_d{order}_deg_s{order}": windows.derivatives[order] for order in HIGHER_DERIVATIVES
-    }
+    derivatives = {f"table_angle_d{order}_deg_s{order}": windows.derivatives[order] for order in HIGHER_DERIVATIVES}
     of_windows = {
         "table_angle_deg": windows.derivatives[0], "table_rate_deg_s": windows.rate,
         "table_acceleration_deg_s2": windows.derivatives[2], "table_angle_span_deg": windows.span,

@@ -1,8 +1,8 @@
 """The rows of a campaign that its set-up is judged by: few of those in which the table moves.
 
-Lags and lever arms act in rows of a changing rate, and a set-up is judged without them.  Of a run that follows the angle
-of its table the judgement takes the rows at rest and at constant rate, and of the others the steadiest ones, fast and
-slow.  Its time grows with the number of rows, and a mistake in a set-up shows in a few.
+Lags and lever arms act in rows of a changing rate, and a set-up is judged without them.  Of a run that follows the
+angle of its table the judgement takes the rows at rest and at constant rate, and of the others the steadiest ones, fast
+and slow.  Its time grows with the number of rows, and a mistake in a set-up shows in a few.
 """
 
 from dataclasses import replace
