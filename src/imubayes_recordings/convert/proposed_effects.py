@@ -29,6 +29,8 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "gyro_bias_temperature_quadratic", "gyro_bias_temperature_cubic", "gyro_scale_temperature",
            "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
+IN_MOTION = ("gyro_bandwidth", "accel_bandwidth", "time_skew")
+"""Further effects of runs that follow the angle of their table: no sensor is without them."""
 NOISE = ("white_noise", "encoder_noise", "run_scatter", "hand_acceleration", "hand_velocity")
 # Of further effects: the least share of the information from the data.
 _DETERMINED = 0.5
@@ -96,7 +98,9 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
 def _further(campaign: Campaign) -> tuple[str, ...]:
     """Return the further effects: a unit that is waved has no axis that its sensors could be off by a lever arm."""
     waved = all(_in_motion(run) for run in campaign.runs)
-    return tuple(name for name in FURTHER if not (waved and name == "lever_arm"))
+    followed = any("row_seconds" in run.covariates for run in campaign.runs)
+    further = (*FURTHER, *IN_MOTION) if followed else FURTHER
+    return tuple(name for name in further if not (waved and name == "lever_arm"))
 
 
 def _in_motion(run: Run) -> bool:
@@ -149,7 +153,7 @@ def _kept(
     known = linear_information(model)
     precision, widths, owner = known.precision, known.widths, known.owner
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
-    kept, shares, apart = set(names), {}, [name for name in FURTHER if name not in purposes]
+    kept, shares, apart = set(names), {}, [name for name in (*FURTHER, *IN_MOTION) if name not in purposes]
     while True:
         # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
         inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))
