@@ -95,7 +95,7 @@ class AccelBandwidth(Accelerometer, SignalEffect):
     """First-order bandwidth f = 1/(2πτ): τ·dy/dt + y = x, y the output and x the input, with bias and scale factor.
 
     The input changes as gravity turns in the axes of the sensor, and with the tangential acceleration at its place.
-    Rows that follow the angle of a table show it, to the fifth derivative of the input.
+    Rows that follow the angle of a table show it, to the sixth derivative of the input.
     """
 
     name = "accel_bandwidth"

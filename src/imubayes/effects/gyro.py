@@ -293,12 +293,12 @@ class GyroBandwidth(Gyro, SignalEffect):
     """First-order bandwidth f = 1/(2πτ): τ·dy/dt + y = x, y the output and x the input, with bias and scale factor.
 
     A row of constant acceleration has the mean input less τ times its mean slope; one that follows the angle of the
-    table has the higher derivatives too, up to the fifth.  At a constant rate there is no lag.
+    table has the higher derivatives too, up to the sixth.  At a constant rate there is no lag.
     """
 
     name = "gyro_bandwidth"
     order = Order.LAG
-    confused_with = "time_skew if all channels lag alike"
+    confused_with = "time_skew if all channels lag alike; beside it, a lag of the other sign: state a positive prior"
     reference = "IEEE Std 952, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
     tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
 

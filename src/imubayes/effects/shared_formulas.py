@@ -123,8 +123,8 @@ def lagged(signal: Scalar, sample: Sample, tau: Scalar) -> Scalar:
     """Return what a signal contributes to the mean over its row behind a first-order lag, τ·dy/dt + y = x.
 
     y = x − τ·dx/dt + τ²·d²x/dt² − …, without the transient of what was before.  The mean of a derivative over a row is
-    a sum over its instants (`row_slope_n`), so each instant has another weight.  The sixth power of τ is neglected:
-    2e-4 of the input at 8 Hz and 5 ms.  Rows of a constant stimulus have no slope.
+    a sum over its instants (`row_slope_n`), so each instant has another weight.  The seventh power of τ is neglected:
+    6e-5 of the input at 8 Hz and 5 ms.  Rows of a constant stimulus have no slope.
     """
     slopes = [getattr(sample.ambient, name) for name in _SLOPES]
     factor = jnp.zeros_like(signal)

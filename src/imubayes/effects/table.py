@@ -270,8 +270,8 @@ class TimeSkew(TableEffect):
     """True angle = φ + Ω·δ + ½ dΩ/dt·δ² + …, of every axis, true rate its slope: the unit is sampled δ after the table.
 
     At a constant rate over whole turns it has no effect; rotating rows of known angle or a changing rate determine it.
-    In rows that follow the angle of the table the series goes to the sixth power, beyond the row itself: up to a fifth
-    of its length it is exact to 1e-4.
+    In rows that follow the angle of the table the series goes to the eighth power, beyond the row itself: up to a fifth
+    of its length it is exact to 1e-5.
     """
 
     name = "time_skew"

@@ -1,9 +1,9 @@
 """Nodes of rows in which the table moves: the angle of its encoder is known throughout the row.
 
-Within a row of T s the angle is a polynomial of the sixth degree in the time t since the middle of the row, given by
+Within a row of T s the angle is a polynomial of the eighth degree in the time t since the middle of the row, given by
 its derivatives there; the rate of the row is the mean, (φ(T/2) − φ(−T/2))/T.  The outputs are N samples, one interval
 apart.  The nodes are those of the Gauss quadrature of the N samples: the mean over a row is then the mean of the
-samples, not an integral, to the 11th degree.  They are the abscissae of the discrete Chebyshev polynomials (Golub and
+samples, not an integral, to the 15th degree.  They are the abscissae of the discrete Chebyshev polynomials (Golub and
 Welsch, Math. Comp. 23 (1969), 221; recurrence: Abramowitz and Stegun 22.17).
 
 A lag acts on how a signal changes within the row.  The mean of dⁿx/dtⁿ over the row is a linear combination of the
@@ -18,8 +18,8 @@ import numpy as np
 from imubayes.foundations.campaign_data import Run
 from imubayes.foundations.covariates import HIGHER_DERIVATIVES, ROW_SLOPES
 
-NODES = 6
-"""Nodes of a row, and the least number of its samples: derivatives of a quintic rate are exact."""
+NODES = 8
+"""Nodes of a row, and the least number of its samples: derivatives of the rate are exact."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,17 @@ def arc_slopes(run: Run, row: np.ndarray, points: np.ndarray, weights: np.ndarra
 
 
 def angle_derivatives(run: Run, rows: np.ndarray) -> np.ndarray:
-    """Return the angle and its six derivatives in the middle of rows, (7, n), SI.
+    """Return the angle and its eight derivatives in the middle of rows, (9, n), SI.
 
-    The rate of a row is its mean: φ' = mean − φ'''·T²/24 − φ⁽⁵⁾·T⁴/1920.
+    The rate of a row is its mean: φ' = mean − φ'''·(T/2)²/3! − φ⁽⁵⁾·(T/2)⁴/5! − …
     """
     known = run.covariates
     seconds = known["row_seconds"][rows]
     higher = [known[f"table_angle_d{order}"][rows] for order in HIGHER_DERIVATIVES]
-    rate = known["table_rate"][rows] - higher[0] * seconds**2 / 24 - higher[2] * seconds**4 / 1920
+    odd = zip(HIGHER_DERIVATIVES[::2], higher[::2], strict=True)
+    rate = known["table_rate"][rows] - sum(
+        each * (seconds / 2) ** (order - 1) / math.factorial(order) for order, each in odd
+    )
     return np.stack([known["table_angle"][rows], rate, known["table_acceleration"][rows], *higher])
 
 
@@ -132,7 +135,7 @@ def quadrature(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns
     -------
-    Places (K,) and weights (K,) of the nodes; ratios (K, 5) of their weights in mean derivatives to those in the mean.
+    Places (K,) and weights (K,) of the nodes; ratios (K, 6) of their weights in mean derivatives to those in the mean.
     """
     order = np.arange(1, NODES)
     beside = np.sqrt(order**2 * (samples**2 - order**2) / (4.0 * (4 * order**2 - 1)))
@@ -142,7 +145,7 @@ def quadrature(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _slope_ratios(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the ratios (K, 5) of the weights in mean derivatives to those in the mean, of nodes with weights (K,)."""
+    """Return the ratios (K, 6) of the weights in mean derivatives to those in the mean, of nodes with weights (K,)."""
     slope, ratios, through = _differentiation(place), [], weight
     for _ in ROW_SLOPES:
         through = through @ slope

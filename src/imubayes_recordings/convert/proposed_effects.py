@@ -86,6 +86,8 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
     kept, shares = _kept(model, names, purposes)
+    if "lever_arm" in kept and "accel_bandwidth" in names:
+        kept.add("accel_bandwidth")  # it delays what lever arms do, which is nothing at their nominal size
     own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
         effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
@@ -128,6 +130,9 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
         # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
         carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
         return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
+    if name in ("gyro_bandwidth", "accel_bandwidth"):
+        # Beside a clock offset a negative lag has the same gain as a positive one, and nearly the same phase.
+        return (EffectSpec(name, prior={"tau": "lognormal(1.5 ms, 1)"}, optional=True),)
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest
         return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]

@@ -2,7 +2,7 @@
 
 A spline of the seventh degree is fitted to the readings of the encoder by least squares.  Its knots are two hundredths
 of a second or three samples apart: 8 Hz is followed to 1e-5 of the rate.  The log between the levels is divided into
-windows, and a window is halved until a polynomial of the sixth degree follows the spline and the rate varies less
+windows, and a window is halved until a polynomial of the eighth degree follows the spline and the rate varies less
 within it than around it.  What a window is worth for scale factors is its mean rate: the mean over half a period of a
 sinusoid still has 64 % of the amplitude, that over a period nothing.
 
@@ -33,7 +33,7 @@ _GAP = 1.5  # sampling intervals; samples are missing
 _MARGIN = 40  # samples beside a stretch that the spline follows as well
 _LEAST = 4 * (_DEGREE + 1)  # samples of a stretch
 _DIFFERENCES = 6
-DERIVATIVES = 7
+DERIVATIVES = 9
 # The ends and points between at which the polynomial equals the spline, over half a window; and where it is judged.
 _PLACES = -np.cos(np.pi * np.arange(DERIVATIVES) / (DERIVATIVES - 1))
 _BETWEEN = (_PLACES[1:] + _PLACES[:-1]) / 2
@@ -50,7 +50,7 @@ class Windows:
     start, stop : shape (W,), rows of the log, `stop` exclusive.
     seconds : shape (W,).
     rate : shape (W,), mean, deg/s.
-    derivatives : shape (7, W), of the angle in the middle, the zeroth to the sixth, deg/sⁿ.
+    derivatives : shape (9, W), of the angle in the middle, the zeroth to the eighth, deg/sⁿ.
     span : shape (W,), range of the angle, deg.
     lost : rows between levels that are in no window.
     """
