@@ -1,14 +1,15 @@
 """Windows of a raw log in which the table moves: the angle of its encoder is known at every sample.
 
 A spline of the seventh degree is fitted to the readings of the encoder by least squares.  Its knots are two hundredths
-of a second or three samples apart: 8 Hz is followed to 1e-5 of the rate.  The log between the levels is divided into
-windows, and a window is halved until a polynomial of the eighth degree follows the spline and the rate varies less
-within it than around it.  What a window is worth for scale factors is its mean rate: the mean over half a period of a
-sinusoid still has 64 % of the amplitude, that over a period nothing.
+of a second or three samples apart, so that 8 Hz is followed to 1e-5 of the rate, and wider if the motion is slow.  The
+log between the levels is divided into windows, and a window is halved until a polynomial of the eighth degree follows
+the spline and the rate varies less within it than around it.  What a window is worth for scale factors is its mean
+rate: the mean over half a period of a sinusoid still has 64 % of the amplitude, that over a period nothing.
 
 The mean rate of a window is the difference of the angles at its ends over its length, so that windows that follow one
-another share an angle.  A window is left out if the spline misses the encoder there by more than its usual scatter: a
-step of the acceleration, or a damaged reading.
+another share an angle.  A window is left out if the spline misses the encoder there or shortly before by more than its
+usual scatter: a step of the acceleration, after which the outputs lag in another way, or a damaged reading.  A step
+that the noise of the encoder hides is not seen: the acceleration of a table is taken to be smooth.
 """
 
 import math
@@ -24,20 +25,27 @@ from imubayes.campaign.run_tables import RowBatch
 from imubayes.procedures.followed_rows import NODES
 
 _DEGREE, _KNOT_SECONDS, _KNOT_SAMPLES = 7, 0.02, 3
+_WIDER, _AS_GOOD = (16, 8, 4, 2), 1.1  # distances of knots that are tried, and residual variance, over the least
 _MOST_SECONDS = 0.5  # of a window
 _WITHIN = 0.75  # standard deviation of the rate within a window, of that around it
 _AROUND_SECONDS = 1.0  # to both sides of the middle of a window
-_NOISE, _MISSED = 3.0, 1.5  # standard deviations of a reading: of the polynomial from the spline; of the spline, rms
+_NOISE = 3.0  # standard deviations of a reading by which a polynomial may be off the spline
+_MISSES, _MISSED = 8, 3.0  # readings whose mean squared residual is at most so many times that of a reading: by chance
+# larger once in 400 independent eights
+_LATE_SECONDS = 0.1  # after a step of the acceleration, until what lags has settled
 _NEGLIGIBLE = 1e-5  # deg; 0.04 arcsec
 _GAP = 1.5  # sampling intervals; samples are missing
 _MARGIN = 40  # samples beside a stretch that the spline follows as well
 _LEAST = 4 * (_DEGREE + 1)  # samples of a stretch
 _DIFFERENCES = 6
 DERIVATIVES = 9
-# The ends and points between at which the polynomial equals the spline, over half a window; and where it is judged.
-_PLACES = -np.cos(np.pi * np.arange(DERIVATIVES) / (DERIVATIVES - 1))
+# The ends and points between at which the polynomial equals the spline, over half a window; and where it is judged.  At
+# the ends it has the rate of the spline as well: the mean over a lag is the difference of the rates there.
+_PLACES = -np.cos(np.pi * np.arange(DERIVATIVES - 2) / (DERIVATIVES - 3))
 _BETWEEN = (_PLACES[1:] + _PLACES[:-1]) / 2
-_FROM_PLACES = np.linalg.inv(np.vander(_PLACES, increasing=True))
+_POWERS = np.arange(DERIVATIVES)
+_SLOPES_AT_ENDS = np.stack([_POWERS * end ** np.maximum(_POWERS - 1.0, 0.0) for end in (-1.0, 1.0)])
+_FROM_PLACES = np.linalg.inv(np.concatenate([np.vander(_PLACES, DERIVATIVES, increasing=True), _SLOPES_AT_ENDS]))
 _TO_BETWEEN = np.vander(_BETWEEN, DERIVATIVES, increasing=True) @ _FROM_PLACES
 
 
@@ -167,14 +175,26 @@ def _path(time: np.ndarray, angle: np.ndarray, begins: np.ndarray, start: int, s
     trend = np.polyfit(since, reading, 1)
     values = reading - np.polyval(trend, since)
     spacing = max(_KNOT_SECONDS, _KNOT_SAMPLES * interval)
-    inner = np.linspace(0.0, since[-1], max(1, int(since[-1] / spacing)) + 1)
-    knots = np.concatenate([np.zeros(_DEGREE), inner, np.full(_DEGREE, since[-1])])
-    spline = scipy.interpolate.make_lsq_spline(since, values, knots, k=_DEGREE)
-    residual = values - spline(since)
-    freedom = max(1, len(since) - (len(knots) - _DEGREE - 1))
+    spline, residual, freedom = _fitted(since, values, spacing)
+    allowed = _AS_GOOD * float(residual @ residual) / freedom
+    for wider in _WIDER:
+        other = _fitted(since, values, wider * spacing)
+        if float(other[1] @ other[1]) / other[2] <= allowed:
+            spline, residual, freedom = other
+            break
     # Most windows have no step of the acceleration: the median is theirs.
     variance = float(np.median(residual**2)) / 0.455 * len(since) / freedom
     return _Path(first, since, residual, spline, trend, variance)
+
+
+def _fitted(
+    time: np.ndarray, values: np.ndarray, spacing: float
+) -> tuple["scipy.interpolate.BSpline", np.ndarray, int]:
+    """Return the spline with knots some s apart, what it leaves of the values, (n,), and the degrees of freedom."""
+    inner = np.linspace(0.0, time[-1], max(1, int(time[-1] / spacing)) + 1)
+    knots = np.concatenate([np.zeros(_DEGREE), inner, np.full(_DEGREE, time[-1])])
+    spline = scipy.interpolate.make_lsq_spline(time, values, knots, k=_DEGREE)
+    return spline, values - spline(time), max(1, len(time) - (len(knots) - _DEGREE - 1))
 
 
 def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) -> Windows:
@@ -185,22 +205,29 @@ def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) 
     edges = np.linspace(start, stop, max(1, math.ceil((stop - start) / most)) + 1).astype(int)
     begin, end, found = edges[:-1], edges[1:], []
     variation = _Variation(path.rate(), round(_AROUND_SECONDS / interval), start - path.first, stop - path.first)
-    misses = np.concatenate([[0.0], np.cumsum(path.residual**2)])
+    missed = np.concatenate([[0], np.cumsum(_missed(path.residual, noise))])
+    late = round(_LATE_SECONDS / interval)
     while len(begin):
         each, off = _described(path, begin, end)
         follows = off < max(_NOISE * noise, _NEGLIGIBLE)
         local = begin - path.first, end - path.first
+        follows &= missed[local[1]] == missed[np.maximum(local[0] - late, 0)]
         fine = follows & variation.small(*local)
         halves = ~fine & (end - begin >= 2 * NODES)
-        # The spline is judged over a knot beside the window as well.
-        beside = _KNOT_SAMPLES + 1
-        low, high = np.maximum(local[0] - beside, 0), np.minimum(local[1] + beside, len(path.time))
-        missed = np.sqrt((misses[high] - misses[low]) / (high - low)) > _MISSED * noise
-        found.append(each.at((fine | (follows & ~halves)) & ~missed & (end - begin >= NODES)))
+        found.append(each.at((fine | (follows & ~halves)) & (end - begin >= NODES)))
         middle = (begin + end) // 2
         begin, end = np.concatenate([begin[halves], middle[halves]]), np.concatenate([middle[halves], end[halves]])
     joined = Windows.joined(found, 0)
     return joined.at(np.argsort(joined.start, kind="stable"))
+
+
+def _missed(residual: np.ndarray, noise: float) -> np.ndarray:
+    """Return which readings are among some that the spline misses, (n,) bool."""
+    if len(residual) < _MISSES:
+        return np.zeros(len(residual), dtype=bool)
+    square = np.convolve(residual**2, np.full(_MISSES, 1 / _MISSES), mode="same")
+    beyond = (square > _MISSED * noise**2).astype(float)
+    return np.convolve(beyond, np.ones(_MISSES + 1), mode="same") > 0
 
 
 class _Variation:
@@ -229,9 +256,11 @@ def _described(path: _Path, begin: np.ndarray, end: np.ndarray) -> tuple[Windows
     seconds = (last - first) * count / np.maximum(count - 1, 1)
     middle, half = (first + last) / 2, seconds / 2
     angle = path.angle(middle + half * _PLACES[:, None])
-    off = np.abs(path.angle(middle + half * _BETWEEN[:, None]) - _TO_BETWEEN @ angle).max(axis=0)
-    order = np.arange(DERIVATIVES)[:, None]
+    slopes = half * (path.spline(middle + half * np.array([[-1.0], [1.0]]), 1) + path.trend[0])
+    known = np.concatenate([angle, slopes])
+    off = np.abs(path.angle(middle + half * _BETWEEN[:, None]) - _TO_BETWEEN @ known).max(axis=0)
+    order = _POWERS[:, None]
     factorial = np.array([math.factorial(each) for each in range(DERIVATIVES)])[:, None]
-    derivatives = _FROM_PLACES @ angle * factorial / half**order
+    derivatives = _FROM_PLACES @ known * factorial / half**order
     derivatives[0] %= 360.0
     return Windows(begin, end, seconds, (angle[-1] - angle[0]) / seconds, derivatives, np.ptp(angle, axis=0)), off

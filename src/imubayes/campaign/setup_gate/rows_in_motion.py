@@ -13,6 +13,7 @@ from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.procedures.followed_rows import followed
 
 _MOST = 40  # rows in motion of a run, of each kind
+_LATE, _CHANGE = 0.05, 0.01  # s, as `MOST_SKEW`; change of the rate in this time, of the largest, that a row may have
 
 
 def steady_rows(campaign: Campaign) -> Campaign:
@@ -30,9 +31,10 @@ def _of_run(run: Run) -> Run:
     if not moves.any():
         return run
     acceleration, rate = np.abs(run.covariates["table_acceleration"]), np.abs(run.covariates["table_rate"])
-    fast = moves & (rate > np.median(rate[moves]))
+    steady = moves & (acceleration * _LATE < _CHANGE * rate.max())
+    fast = steady & (rate > np.median(rate[moves]))
     kept = ~moves
-    for group in (fast, moves):
+    for group in (fast, steady):
         places = np.flatnonzero(group)
         kept[places[np.argsort(acceleration[places], kind="stable")[:_MOST]]] = True
     return replace(
