@@ -192,7 +192,7 @@ def test_rows_between_levels_have_the_rate_of_the_encoder(whole):
     ("change", "what"),
     [
         (("transitions = true", 'transitions = true\nignore = ["table_angle_deg"]'), "rate between the levels"),
-        (('procedure = "rate_table"', 'procedure = "dividing_head"'), "no levels of rate"),
+        (('procedure = "rate_table"', 'procedure = "dividing_head"'), "do not follow a motion"),
     ],
 )
 def test_what_no_encoder_tells_is_refused(whole, tmp_path, change, what):

@@ -248,7 +248,9 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     run, found = _rows_of(source, entry, equipment, survey)
     loaded.findings += found
     if run.rows == 0:
-        loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
+        moves = PROCEDURES[entry.procedure].followed and source.layout.has(ANGLE_COLUMN) and not entry.transitions
+        what = "no interval of constant stimulus was found in the log"
+        loaded.findings.append(_empty(entry, where, what, follow=moves))
     elif not loaded.failed:
         loaded.findings += unfounded_uncertainties(entry, run, where)
     if not loaded.failed:
@@ -288,7 +290,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     """Return the run and its findings, according to its form: static poses, means, or a raw log to be reduced."""
     reduction = PROCEDURES[entry.procedure].reduction
     if entry.transitions:
-        _refuse_transitions(source, entry, reduction, survey)
+        _refuse_transitions(source, entry, survey)
     if entry.turn_uncertainty_deg is not None and (reduction is not Reduction.CONSTANT or not source.layout.reduced):
         raise input_error(
             f"run '{entry.name}' states turn_uncertainty_deg, but has no turns",
@@ -321,13 +323,13 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     return run, [*found, *check_rest(survey.blocks, run, equipment.channels, where)]
 
 
-def _refuse_transitions(source: TableSource, entry: RunEntry, reduction: Reduction, survey: _Survey) -> None:
-    """Raise where what lies between levels cannot be used."""
+def _refuse_transitions(source: TableSource, entry: RunEntry, survey: _Survey) -> None:
+    """Raise where the motion of a table cannot be followed."""
     where, blocks = str(source.file), survey.blocks
-    if reduction is not Reduction.CONSTANT:
+    if not PROCEDURES[entry.procedure].followed:
         raise input_error(
-            f"run '{entry.name}' of procedure {entry.procedure} has no levels of rate",
-            where, "transitions = true for a run that turns at levels of constant rate", "remove the key",
+            f"rows of procedure {entry.procedure} in run '{entry.name}' do not follow a motion",
+            where, "transitions = true for a run of rate_table, on a table of one axis", "remove the key",
         )  # fmt: skip
     if source.layout.reduced or not source.layout.has(ANGLE_COLUMN) or blocks is None or blocks.interval is None:
         raise input_error(
@@ -432,9 +434,12 @@ def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: Ru
     ]  # fmt: skip
 
 
-def _empty(entry: RunEntry, where: str, what: str) -> Finding:
+def _empty(entry: RunEntry, where: str, what: str, *, follow: bool = False) -> Finding:
     allowed = "rows with outputs; for a raw log, at least one second of constant stimulus"
-    return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
+    remedy = "write transitions = true in the run: its rows then follow the angle of the table"
+    return Finding(
+        "empty_run", "error", entry.name, what, where, allowed, remedy if follow else "fill the table or remove the run"
+    )
 
 
 def _from_zero(
