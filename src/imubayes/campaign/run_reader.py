@@ -164,7 +164,7 @@ def _fill_temperature(
         notes.append(f"{np.sum(empty)} missing values of {name} are interpolated linearly")
 
 
-ANGLE_COLUMN = "table_angle_deg"
+ANGLE_COLUMN, RATE_COLUMN = "table_angle_deg", "table_rate_deg_s"
 _MOST_LEVELS = 2
 """Unsteady levels that a warning names."""
 _MOST_SAMPLES = 1e12
@@ -248,9 +248,7 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     run, found = _rows_of(source, entry, equipment, survey)
     loaded.findings += found
     if run.rows == 0:
-        moves = PROCEDURES[entry.procedure].followed and source.layout.has(ANGLE_COLUMN) and not entry.transitions
-        what = "no interval of constant stimulus was found in the log"
-        loaded.findings.append(_empty(entry, where, what, follow=moves))
+        loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
     elif not loaded.failed:
         loaded.findings += unfounded_uncertainties(entry, run, where)
     if not loaded.failed:
@@ -291,6 +289,12 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     reduction = PROCEDURES[entry.procedure].reduction
     if entry.transitions:
         _refuse_transitions(source, entry, survey)
+    elif PROCEDURES[entry.procedure].followed and not source.layout.has(RATE_COLUMN):
+        raise input_error(
+            f"a run of procedure '{entry.procedure}' needs the column '{RATE_COLUMN}'",
+            f"{source.file}, header", f"{RATE_COLUMN}; or transitions = true, of a raw log with {ANGLE_COLUMN}",
+            "add the column, write transitions = true in the run, or correct 'procedure' of the run",
+        )  # fmt: skip
     if entry.turn_uncertainty_deg is not None and (reduction is not Reduction.CONSTANT or not source.layout.reduced):
         raise input_error(
             f"run '{entry.name}' states turn_uncertainty_deg, but has no turns",
@@ -434,12 +438,9 @@ def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: Ru
     ]  # fmt: skip
 
 
-def _empty(entry: RunEntry, where: str, what: str, *, follow: bool = False) -> Finding:
+def _empty(entry: RunEntry, where: str, what: str) -> Finding:
     allowed = "rows with outputs; for a raw log, at least one second of constant stimulus"
-    remedy = "write transitions = true in the run: its rows then follow the angle of the table"
-    return Finding(
-        "empty_run", "error", entry.name, what, where, allowed, remedy if follow else "fill the table or remove the run"
-    )
+    return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
 
 
 def _from_zero(
