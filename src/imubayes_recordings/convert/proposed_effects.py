@@ -83,11 +83,10 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     wanted = (*of_equipment(), *STATION, *SENSORS, *further, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
-    specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
+    specs = [spec for name in names for spec in _specs(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
     kept, shares = _kept(model, names, purposes)
-    if "lever_arm" in kept and "accel_bandwidth" in names:
-        kept.add("accel_bandwidth")  # it delays what lever arms do, which is nothing at their nominal size
+    kept |= _delaying(kept) & set(names)
     own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
         effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
@@ -120,6 +119,21 @@ def _turned_by_hand(campaign: Campaign) -> bool:
     return len(apart) < len(campaign.runs) and all(run.turn_uncertainty is not None for run in apart)
 
 
+def _delaying(kept: set[str]) -> set[str]:
+    """Return the effects that go with others: the lag of an accelerometer delays what its lever arm does."""
+    return {"accel_bandwidth"} if "lever_arm" in kept else set()
+
+
+def _specs(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
+    """Return the entries of an effect.
+
+    Beside a clock offset a negative lag has the same gain as a positive one, and nearly the same phase: it is positive.
+    """
+    if name in ("gyro_bandwidth", "accel_bandwidth"):
+        return [EffectSpec(name, prior={"tau": "lognormal(1.5 ms, 1)"}, optional=True)]
+    return _entries(name, campaign, by_hand)
+
+
 def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
     """Return the entries of an effect: one, but where a unit turned by hand has its frame by its accelerometers.
 
@@ -130,9 +144,6 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
         # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
         carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
         return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
-    if name in ("gyro_bandwidth", "accel_bandwidth"):
-        # Beside a clock offset a negative lag has the same gain as a positive one, and nearly the same phase.
-        return (EffectSpec(name, prior={"tau": "lognormal(1.5 ms, 1)"}, optional=True),)
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest
         return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]

@@ -1,4 +1,4 @@
-"""Windows of a raw log in which the table moves: the angle of its encoder is known at every sample.
+"""EncoderWindows of a raw log in which the table moves: the angle of its encoder is known at every sample.
 
 A spline of the seventh degree is fitted to the readings of the encoder by least squares.  Its knots are two hundredths
 of a second or three samples apart, so that 8 Hz is followed to 1e-5 of the rate, and wider if the motion is slow.  The
@@ -50,7 +50,7 @@ _TO_BETWEEN = np.vander(_BETWEEN, DERIVATIVES, increasing=True) @ _FROM_PLACES
 
 
 @dataclass(frozen=True)
-class Windows:
+class EncoderWindows:
     """The windows of a log (W of them), in its order.
 
     Attributes
@@ -78,16 +78,18 @@ class Windows:
             for start, stop in zip(self.start.tolist(), self.stop.tolist(), strict=True)
         ]
 
-    def at(self, chosen: np.ndarray) -> "Windows":
+    def at(self, chosen: np.ndarray) -> "EncoderWindows":
         """Return chosen windows."""
         columns = (self.start, self.stop, self.seconds, self.rate, self.derivatives, self.span)
-        return Windows(*(column[..., chosen] for column in columns), self.lost)
+        return EncoderWindows(*(column[..., chosen] for column in columns), self.lost)
 
     @staticmethod
-    def joined(parts: list["Windows"], lost: int) -> "Windows":
+    def joined(parts: list["EncoderWindows"], lost: int) -> "EncoderWindows":
         """Return the windows of several stretches in one."""
         names = ("start", "stop", "seconds", "rate", "derivatives", "span")
-        return Windows(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names), lost)
+        return EncoderWindows(
+            *(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names), lost
+        )
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def reading_noise(log: np.ndarray) -> float:
     return 1.4826 * float(np.median(differences)) / size if len(differences) else 0.0
 
 
-def moving_windows(log: np.ndarray, stretches: list[tuple[int, int]]) -> Windows:
+def moving_windows(log: np.ndarray, stretches: list[tuple[int, int]]) -> EncoderWindows:
     """Return the windows of the stretches of a log in which no stimulus is constant.
 
     Parameters
@@ -149,20 +151,23 @@ def moving_windows(log: np.ndarray, stretches: list[tuple[int, int]]) -> Windows
     broken = ~np.isfinite(time) | ~np.isfinite(angle)
     step = np.diff(time, prepend=math.nan)
     begins = np.flatnonzero(broken | ~((step > 0) & (step < _GAP * interval)))
-    paths: list[tuple[_Path, int, int]] = []
-    for first, last in stretches:
-        edges = [first, *begins[(begins > first) & (begins < last)].tolist(), last]
-        for start, stop in pairwise(edges):
-            start += bool(broken[start])
-            if stop - start >= _LEAST:
-                paths.append((_path(time, angle, begins, start, stop, interval), start, stop))
+    parts = [
+        (start + int(broken[start]), stop)
+        for first, last in stretches
+        for start, stop in pairwise([first, *begins[(begins > first) & (begins < last)].tolist(), last])
+    ]
+    paths = [
+        (_path(time, angle, begins, start, stop, interval), start, stop)
+        for start, stop in parts
+        if stop - start >= _LEAST
+    ]
     noise = math.sqrt(float(np.median([path.variance for path, _, _ in paths]))) if paths else 0.0
     found = [_windows(path, start, stop, interval, max(noise, _NEGLIGIBLE)) for path, start, stop in paths]
     rows = sum(last - first for first, last in stretches)
     kept = sum(int(np.sum(each.stop - each.start)) for each in found)
     empty = np.zeros(0, dtype=int)
-    none = Windows(empty, empty, np.zeros(0), np.zeros(0), np.zeros((DERIVATIVES, 0)), np.zeros(0))
-    return Windows.joined([none, *found], rows - kept)
+    none = EncoderWindows(empty, empty, np.zeros(0), np.zeros(0), np.zeros((DERIVATIVES, 0)), np.zeros(0))
+    return EncoderWindows.joined([none, *found], rows - kept)
 
 
 def _path(time: np.ndarray, angle: np.ndarray, begins: np.ndarray, start: int, stop: int, interval: float) -> _Path:
@@ -197,7 +202,7 @@ def _fitted(
     return spline, values - spline(time), max(1, len(time) - (len(knots) - _DEGREE - 1))
 
 
-def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) -> Windows:
+def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) -> EncoderWindows:
     """Return the windows of rows start … stop − 1 of a path; `noise` is that of a reading, deg."""
     # At the very ends of a log half an interval beyond is unknown.
     start, stop = max(start, path.first + 1), min(stop, path.first + len(path.time) - 1)
@@ -217,7 +222,7 @@ def _windows(path: _Path, start: int, stop: int, interval: float, noise: float) 
         found.append(each.at((fine | (follows & ~halves)) & (end - begin >= NODES)))
         middle = (begin + end) // 2
         begin, end = np.concatenate([begin[halves], middle[halves]]), np.concatenate([middle[halves], end[halves]])
-    joined = Windows.joined(found, 0)
+    joined = EncoderWindows.joined(found, 0)
     return joined.at(np.argsort(joined.start, kind="stable"))
 
 
@@ -249,7 +254,7 @@ class _Variation:
         return np.maximum(second - first**2, 0.0)
 
 
-def _described(path: _Path, begin: np.ndarray, end: np.ndarray) -> tuple[Windows, np.ndarray]:
+def _described(path: _Path, begin: np.ndarray, end: np.ndarray) -> tuple[EncoderWindows, np.ndarray]:
     """Return windows with the polynomial through the spline, and how far it is off in between at most, deg."""
     first, last = path.time[begin - path.first], path.time[end - 1 - path.first]
     count = end - begin
@@ -263,4 +268,6 @@ def _described(path: _Path, begin: np.ndarray, end: np.ndarray) -> tuple[Windows
     factorial = np.array([math.factorial(each) for each in range(DERIVATIVES)])[:, None]
     derivatives = _FROM_PLACES @ known * factorial / half**order
     derivatives[0] %= 360.0
-    return Windows(begin, end, seconds, (angle[-1] - angle[0]) / seconds, derivatives, np.ptp(angle, axis=0)), off
+    return EncoderWindows(
+        begin, end, seconds, (angle[-1] - angle[0]) / seconds, derivatives, np.ptp(angle, axis=0)
+    ), off

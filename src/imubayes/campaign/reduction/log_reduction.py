@@ -28,7 +28,7 @@ from imubayes.campaign.reduction.constant_spans import (
     followed_spans,
     stretches_between,
 )
-from imubayes.campaign.reduction.encoder_path import Windows, encoder_log, moving_windows, reading_noise
+from imubayes.campaign.reduction.encoder_path import EncoderWindows, encoder_log, moving_windows, reading_noise
 from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
 from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
@@ -109,15 +109,13 @@ def reduce_log(
     """
     layout, coarse = source.layout, coarse_temperatures(blocks)
     blocks = _with_temperatures(blocks, coarse)
-    log = encoder_log(source) if transitions else None
-    if log is not None:
-        bench = replace(bench or BenchSettings(), reading_noise=reading_noise(log))
-    detected, how = _spans_of(source, reduction, blocks, labelled, bench)
-    spans, windows = detected.spans, None
-    if log is not None:
-        windows = moving_windows(log, stretches_between(detected, blocks))
-        detected = replace(detected, dropped=Dropped(levels=detected.dropped.levels))
-        spans, how = sorted([*spans, *windows.spans()], key=lambda span: span.start), f"{how}, and between"
+    windows, missed = None, 0
+    if transitions:
+        detected, windows = _followed(source, blocks, bench or BenchSettings())
+        how, missed = f"{CONSTANT}, and between", windows.lost
+    else:
+        detected, how = _spans_of(source, reduction, blocks, labelled, bench)
+    spans = detected.spans
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
@@ -134,9 +132,19 @@ def reduce_log(
         numbers,
         first,
         unsteady,
-        (*_account(rows, reduced, how, spans, detected.dropped, windows), *lost, *_between_steps(coarse)),
+        (*_account(rows, reduced, how, spans, detected.dropped, missed), *lost, *_between_steps(coarse)),
         tuple(detected.dropped.levels),
     )
+
+
+def _followed(source: TableSource, blocks: BlockSurvey, bench: BenchSettings) -> tuple[Detected, EncoderWindows]:
+    """Return the spans of a log whose motion is used as well, and the windows among them."""
+    log = encoder_log(source)
+    settings = replace(bench, reading_noise=reading_noise(log))
+    levels = constant_spans(blocks, source.layout.channels, bench=settings)
+    windows = moving_windows(log, stretches_between(levels, blocks))
+    spans = sorted([*levels.spans, *windows.spans()], key=lambda span: span.start)
+    return Detected(spans, Dropped(levels=levels.dropped.levels)), windows
 
 
 def _with_temperatures(blocks: BlockSurvey, coarse: Mapping[str, CoarseTemperature]) -> BlockSurvey:
@@ -219,7 +227,9 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> di
     return numbers
 
 
-def _motion_columns(numbers: dict[str, np.ndarray], windows: Windows, passing: np.ndarray) -> dict[str, np.ndarray]:
+def _motion_columns(
+    numbers: dict[str, np.ndarray], windows: EncoderWindows, passing: np.ndarray
+) -> dict[str, np.ndarray]:
     """Return the columns of the table with what the encoder tells of the rows between levels, (R,) bool.
 
     A rate column may be a command, which the table follows later.
@@ -250,7 +260,7 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
 
 
 def _account(
-    rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped, windows: Windows | None
+    rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped, missed: int
 ) -> tuple[str, ...]:
     """Return a note on the rows kept, the means formed, and the rows left out with their causes."""
     used = sum(row.samples for row in reduced)
@@ -258,7 +268,6 @@ def _account(
     holes = sum(row.holes for row in reduced)
     means = [f"{number} {words}" for state, words in _STATES.items() if (number := count[state])]
     # What is in no span and has no other cause is unlabelled, or between spans that follow a stimulus.
-    missed = 0 if windows is None else windows.lost
     between = rows - sum(span.rows for span in spans) - _known(dropped) - missed
     causes = {
         "while the stimulus changed": dropped.changing,
