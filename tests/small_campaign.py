@@ -123,7 +123,7 @@ def wide_campaign() -> Campaign:
     swept = _run(
         "swept", "rate_table", "head", "x-up", 8,
         table_rate=rates, table_angle=angle, table_angle_span=rates * 0.05, time=np.arange(8) * 60.0,
-        table_acceleration=np.array([1, -1, -1, 1, 2, -2, 1, 1]) * 200 * DEGREE,
+        table_acceleration=np.array([1, -1, -1, 1, 2, -2, 1, 1]) * 200 * DEGREE, row_seconds=np.full(8, 0.05),
     )  # fmt: skip
     shaken = _run("shaken", "dividing_head", "head", "flat", 4, table_angle=0.2, vibration=np.arange(4) * 20.0)
     dated = [

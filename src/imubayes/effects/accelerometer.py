@@ -100,13 +100,13 @@ class AccelBandwidth(Accelerometer, SignalEffect):
 
     name = "accel_bandwidth"
     order = Order.LAG
-    needs = ("row_slope_1",)
+    needs = ("row_seconds",)
     confused_with = "time_skew if all channels lag alike; lever_arm, in motion at one frequency about a vertical axis"
     reference = "IEEE Std 1293, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
     tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return formulas.lagged(signal, sample, self.tau)
+        return jnp.where(sample.ambient.row_seconds > 0, formulas.lagged(signal, sample, self.tau), signal)
 
 
 class AccelBias(Accelerometer, formulas.ConstantBias):

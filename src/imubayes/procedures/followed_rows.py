@@ -74,7 +74,7 @@ def followed_nodes(run: Run) -> FollowedNodes:
 
 
 def arc_slopes(run: Run, row: np.ndarray, points: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
-    """Return `row_slope_n` of the nodes of a run that belong to arcs at constant rate, 0 of others, (n,) each.
+    """Return `row_seconds` and `row_slope_n` of the nodes of a run in arcs at constant rate, 0 of others, (n,) each.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def arc_slopes(run: Run, row: np.ndarray, points: np.ndarray, weights: np.ndarra
     per_second = rate[row] / np.where(inside, span[row], 1.0)  # nodes are in the order of angle, not of time
     slope = _slope_ratios(points, weights)
     arcs = np.count_nonzero(inside) // len(points)
-    found = {}
+    found = {"row_seconds": np.where(inside, 1 / np.where(inside, np.abs(per_second), 1.0), 0.0)}
     for place, order in enumerate(ROW_SLOPES):
         found[f"row_slope_{order}"] = np.zeros(len(row))
         found[f"row_slope_{order}"][inside] = np.tile(slope[:, place], arcs) * per_second[inside] ** order
@@ -101,12 +101,13 @@ def angle_derivatives(run: Run, rows: np.ndarray) -> np.ndarray:
     """
     known = run.covariates
     seconds = known["row_seconds"][rows]
-    higher = [known[f"table_angle_d{order}"][rows] for order in HIGHER_DERIVATIVES]
+    none = np.zeros(run.rows)
+    higher = [known.get(f"table_angle_d{order}", none)[rows] for order in HIGHER_DERIVATIVES]
     odd = zip(HIGHER_DERIVATIVES[::2], higher[::2], strict=True)
     rate = known["table_rate"][rows] - sum(
         each * (seconds / 2) ** (order - 1) / math.factorial(order) for order, each in odd
     )
-    return np.stack([known["table_angle"][rows], rate, known["table_acceleration"][rows], *higher])
+    return np.stack([known["table_angle"][rows], rate, known.get("table_acceleration", none)[rows], *higher])
 
 
 def derivatives_at(time: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
