@@ -174,7 +174,6 @@ def still() -> Unit:
         ({"accel_lag": np.array([0.0, 5e-3, 0.0])}, "accel_bandwidth", {"ay"}),
         ({"skew": 5e-3}, "time_skew", {"table-0", "table-90"}),
         ({"asymmetry": np.array([0.0, 3e-3, 0.0])}, "gyro_scale_asymmetry", {"gy"}),
-        ({"sensitivity": np.array([0.0, 0.0, 0.02]) * DEGREE / GRAVITY}, "gyro_g_sensitivity", {"gz"}),
     ],
     ids=lambda each: each if isinstance(each, str) else "",
 )
