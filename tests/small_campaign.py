@@ -125,11 +125,16 @@ def wide_campaign() -> Campaign:
         table_rate=rates, table_angle=angle, table_angle_span=rates * 0.05, time=np.arange(8) * 60.0,
         table_acceleration=np.array([1, -1, -1, 1, 2, -2, 1, 1]) * 200 * DEGREE,
     )  # fmt: skip
+    moving = _run(
+        "moving", "rate_table", "head", "x-up", 8,
+        table_rate=rates, table_angle=angle, table_angle_span=rates * 0.05, time=np.arange(8) * 0.05,
+        table_acceleration=np.array([1, -1, -1, 1, 2, -2, 1, 1]) * 200 * DEGREE, row_seconds=np.full(8, 0.05),
+    )  # fmt: skip
     shaken = _run("shaken", "dividing_head", "head", "flat", 4, table_angle=0.2, vibration=np.arange(4) * 20.0)
     dated = [
         replace(run, start=f"2026-03-1{day}T08:00:00+00:00") for day, run in enumerate([*warming, swept])
     ]  # fmt: skip
-    runs = (*base.runs[:9], *dated, shaken, *base.runs[9:])
+    runs = (*base.runs[:9], *dated, shaken, moving, *base.runs[9:])
     return replace(base, name="wide", runs=tuple(map(_known, runs, range(len(runs)))))
 
 

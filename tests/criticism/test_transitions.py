@@ -12,7 +12,6 @@ import pytest
 from scipy.signal import lfilter
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.reduction.constant_spans import PASSING_CHANGE
 from imubayes.criticism.diagnose import judge
 from imubayes.foundations.errors import InputError
 from imubayes.inference.nested_laplace import posterior_precision
@@ -73,6 +72,8 @@ def table_motion(levels=LEVELS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         command.append(np.full(len(ramp) + round(SECONDS / STEP), level))
         last = level
     rate = np.concatenate(parts)
+    for _ in range(4):  # no table steps from one acceleration to another: four times a mean over a tenth of a second
+        rate = np.convolve(np.pad(rate, (50, 49), mode="edge"), np.full(100, 0.01), mode="valid")
     return np.concatenate(command), rate, np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * STEP)])
 
 
@@ -180,9 +181,10 @@ def test_rows_between_levels_have_the_rate_of_the_encoder(whole):
     run = load_campaign(whole).runs[0]
     rate, acceleration = np.rad2deg(run.covariates["table_rate"]), np.rad2deg(run.covariates["table_acceleration"])
     passing = np.abs(acceleration) > SLOPE / 2
-    assert 100 < passing.sum() < 2000
+    assert 40 < passing.sum() < 400
     np.testing.assert_allclose(np.abs(acceleration[passing]).mean(), SLOPE, rtol=0.05)
-    assert np.diff(np.sort(rate)).max() < 3 * PASSING_CHANGE * 90
+    assert np.diff(np.sort(rate)).max() < 30  # of levels up to 90 deg/s: rows at all rates
+    assert set(np.unique(run.covariates["row_seconds"] > 0)) == {False, True}
     assert "and between" in " ".join(run.notes)
 
 
@@ -190,7 +192,7 @@ def test_rows_between_levels_have_the_rate_of_the_encoder(whole):
     ("change", "what"),
     [
         (("transitions = true", 'transitions = true\nignore = ["table_angle_deg"]'), "rate between the levels"),
-        (('procedure = "rate_table"', 'procedure = "dividing_head"'), "no levels of rate"),
+        (('procedure = "rate_table"', 'procedure = "dividing_head"'), "do not follow a motion"),
     ],
 )
 def test_what_no_encoder_tells_is_refused(whole, tmp_path, change, what):

@@ -96,11 +96,14 @@ class BenchSettings:
     settling : time after each change of the stimulus that is left out at least, s.
     rate_tolerance : difference up to which rates are equal, deg/s; None for the noise of the column.
     zero_angle : reading of the angle column at the zero of the table, deg.
+    reading_noise : standard deviation of a reading of the angle, deg, if the rate is that of the angle; None if it is
+        that of the column of rates.
     """
 
     settling: float = 0.0
     rate_tolerance: float | None = None
     zero_angle: float = 0.0
+    reading_noise: float | None = None
 
 
 def build_benches(entries: Mapping[int, TableEntry]) -> dict[str, BenchSettings]:

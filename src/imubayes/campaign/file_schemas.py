@@ -271,7 +271,7 @@ class RunEntry(_Entry):
     initial_rest_s: Positive | None = None
     """of a free tumble: time at rest before the first motion; found if absent"""
     transitions: bool = False
-    """of a raw log of a rate table with table_angle_deg: the rows between levels are used as well, in short means"""
+    """of a raw log of a rate table with table_angle_deg: rows in motion are used as well, and follow that angle"""
     turn_uncertainty_deg: Positive | None = None
     """of a rate_table run whose turning rows are turns from rest to rest through a known angle, by hand or by a stop:
     standard uncertainty of that angle, which encoder_noise takes up"""

@@ -166,7 +166,7 @@ def _fill_temperature(
         notes.append(f"{np.sum(empty)} missing values of {name} are interpolated linearly")
 
 
-ANGLE_COLUMN = "table_angle_deg"
+ANGLE_COLUMN, RATE_COLUMN = "table_angle_deg", "table_rate_deg_s"
 _MOST_LEVELS = 2
 """Unsteady levels that a warning names."""
 _MOST_SAMPLES = 1e12
@@ -289,13 +289,7 @@ def _judge(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str) ->
 def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:
     """Return the run and its findings, according to its form: static poses, means, or a raw log to be reduced."""
     reduction = PROCEDURES[entry.procedure].reduction
-    if entry.transitions:
-        _refuse_transitions(source, entry, reduction, survey)
-    if entry.turn_uncertainty_deg is not None and (reduction is not Reduction.CONSTANT or not source.layout.reduced):
-        raise input_error(
-            f"run '{entry.name}' states turn_uncertainty_deg, but has no turns",
-            str(source.file), "turn_uncertainty_deg for rows of a rate table, each a turn or a rest", "remove the key",
-        )  # fmt: skip
+    _refuse_keys(source, entry, survey)
     if reduction.by_hand:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
@@ -323,13 +317,35 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     return run, [*found, *check_rest(survey.blocks, run, equipment.channels, where)]
 
 
-def _refuse_transitions(source: TableSource, entry: RunEntry, reduction: Reduction, survey: _Survey) -> None:
-    """Raise where what lies between levels cannot be used."""
-    where, blocks = str(source.file), survey.blocks
-    if reduction is not Reduction.CONSTANT:
+def _refuse_keys(source: TableSource, entry: RunEntry, survey: _Survey) -> None:
+    """Raise where keys of a run and its columns do not belong together."""
+    if entry.transitions:
+        _refuse_transitions(source, entry, survey)
+    elif PROCEDURES[entry.procedure].followed and not source.layout.has(RATE_COLUMN):
         raise input_error(
-            f"run '{entry.name}' of procedure {entry.procedure} has no levels of rate",
-            where, "transitions = true for a run that turns at levels of constant rate", "remove the key",
+            f"a run of procedure '{entry.procedure}' needs the column '{RATE_COLUMN}'",
+            f"{source.file}, header", f"{RATE_COLUMN}; or transitions = true, of a raw log with {ANGLE_COLUMN}",
+            "add the column, write transitions = true in the run, or correct 'procedure' of the run",
+        )  # fmt: skip
+    if entry.turn_uncertainty_deg is not None and not _may_turn(source, entry):
+        raise input_error(
+            f"run '{entry.name}' states turn_uncertainty_deg, but has no turns",
+            str(source.file), "turn_uncertainty_deg for rows of a rate table, each a turn or a rest", "remove the key",
+        )  # fmt: skip
+
+
+def _may_turn(source: TableSource, entry: RunEntry) -> bool:
+    """Tell whether the rows of a run are means, some of which may be turns from rest to rest."""
+    return PROCEDURES[entry.procedure].reduction is Reduction.CONSTANT and source.layout.reduced
+
+
+def _refuse_transitions(source: TableSource, entry: RunEntry, survey: _Survey) -> None:
+    """Raise where the motion of a table cannot be followed."""
+    where, blocks = str(source.file), survey.blocks
+    if not PROCEDURES[entry.procedure].followed:
+        raise input_error(
+            f"rows of procedure {entry.procedure} in run '{entry.name}' do not follow a motion",
+            where, "transitions = true for a run of rate_table, on a table of one axis", "remove the key",
         )  # fmt: skip
     if source.layout.reduced or not source.layout.has(ANGLE_COLUMN) or blocks is None or blocks.interval is None:
         raise input_error(

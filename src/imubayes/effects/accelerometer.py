@@ -91,6 +91,24 @@ class AccelScaleAsymmetry(Accelerometer, formulas.ScaleAsymmetry):
     )
 
 
+class AccelBandwidth(Accelerometer, SignalEffect):
+    """First-order bandwidth f = 1/(2πτ): τ·dy/dt + y = x, y the output and x the input, with bias and scale factor.
+
+    The input changes as gravity turns in the axes of the sensor, and with the tangential acceleration at its place.
+    Rows that follow the angle of a table show it, to the sixth derivative of the input.
+    """
+
+    name = "accel_bandwidth"
+    order = Order.LAG
+    needs = ("row_seconds",)
+    confused_with = "time_skew if all channels lag alike; lever_arm, in motion at one frequency about a vertical axis"
+    reference = "IEEE Std 1293, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
+    tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return jnp.where(sample.ambient.row_seconds > 0, formulas.lagged(signal, sample, self.tau), signal)
+
+
 class AccelBias(Accelerometer, formulas.ConstantBias):
     name = "accel_bias"
     confused_with = "K2 and K_oo, K_pp in a 1 g tumble"

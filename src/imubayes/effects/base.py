@@ -160,8 +160,8 @@ class Order(IntEnum):
 
     IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
     factor multiplies the sum.  What the input along the true axis causes by itself precedes what else is added, so
-    that it does not act on a drift.  For the table, the circumstances are corrected first, then the instant, the angle,
-    and last rate and axis.
+    that it does not act on a drift; a lag delays all of it.  For the table, the circumstances are corrected first, then
+    the instant, the angle, and last rate and axis.
 
     Examples
     --------
@@ -178,6 +178,7 @@ class Order(IntEnum):
     SENSITIVITY = 20
     BIAS = 30
     SCALE = 40
+    LAG = 50
     GAIN = 10
     OFFSET = 20
     LIMIT = 90

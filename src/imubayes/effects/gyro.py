@@ -6,6 +6,8 @@ the magnetic field.
 
 from typing import Any
 
+import jax.numpy as jnp
+
 from imubayes.effects import shared_formulas as formulas
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import Gyro
@@ -288,19 +290,21 @@ class GyroMagneticSensitivity(Gyro, SignalEffect):
 
 
 class GyroBandwidth(Gyro, SignalEffect):
-    """First-order bandwidth f = 1/(2πτ): signal − τ·dω_I/dt, the lag of the output behind the input.
+    """First-order bandwidth f = 1/(2πτ): τ·dy/dt + y = x, y the output and x the input, with bias and scale factor.
 
-    A row that lasts several τ has the mean input less τ times its mean slope.  At a constant rate there is no lag.
+    A row of constant acceleration has the mean input less τ times its mean slope; one that follows the angle of the
+    table has the higher derivatives too, up to the sixth.  At a constant rate there is no lag.
     """
 
     name = "gyro_bandwidth"
-    order = Order.SENSITIVITY
-    confused_with = "time_skew if all channels lag alike"
+    order = Order.LAG
+    confused_with = "time_skew if all channels lag alike; beside it, a lag of the other sign: state a positive prior"
     reference = "IEEE Std 952, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
     tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal - self.tau * sample.acceleration[0]
+        followed = formulas.lagged(signal, sample, self.tau)
+        return jnp.where(sample.ambient.row_seconds > 0, followed, signal - self.tau * sample.acceleration[0])
 
 
 class GyroOutputAxisAcceleration(Gyro, SignalEffect):

@@ -12,10 +12,12 @@ import jax.numpy as jnp
 
 from imubayes.effects.base import Decay, Effect, MotionEffect, Order, Play, RecordEffect, SignalEffect, Stage
 from imubayes.foundations.arrays import Scalar, Vector3, compose, exponential, vector3
+from imubayes.foundations.covariates import ROW_SLOPES
 from imubayes.foundations.signal_path_state import Ambient, Motion, Sample
 from imubayes.parameters.declarations import parameter, reference_temperature
 
 Parameter = eqx.AbstractVar[Scalar]
+_SLOPES = tuple(f"row_slope_{order}" for order in ROW_SLOPES)
 
 
 class Device(Effect):
@@ -115,6 +117,20 @@ class ConstantBias(SignalEffect):
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.bias
+
+
+def lagged(signal: Scalar, sample: Sample, tau: Scalar) -> Scalar:
+    """Return what a signal contributes to the mean over its row behind a first-order lag, τ·dy/dt + y = x.
+
+    y = x − τ·dx/dt + τ²·d²x/dt² − …, without the transient of what was before.  The mean of a derivative over a row is
+    a sum over its instants (`row_slope_n`), so each instant has another weight.  The seventh power of τ is neglected:
+    6e-5 of the input at 8 Hz and 5 ms.  Rows of a constant stimulus have no slope.
+    """
+    slopes = [getattr(sample.ambient, name) for name in _SLOPES]
+    factor = jnp.zeros_like(signal)
+    for slope in reversed(slopes):
+        factor = -tau * (slope + factor)
+    return signal * (1 + factor)
 
 
 class BiasDrift(SignalEffect):

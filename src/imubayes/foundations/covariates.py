@@ -115,6 +115,35 @@ def _outer_axes() -> Iterable[Covariate]:
 
 
 _ARTICLE = {"outer": "an", "middle": "a"}
+
+
+def _rows_in_motion() -> Iterable[Covariate]:
+    """Yield what is known of a row in which the table moves: its duration, and the path of the angle within it."""
+    source = "a raw log of a rate table with table_angle_deg and transitions = true"
+    facts = {"ambient": True, "shown": False, "regressor": False, "source": source, "absent": "a constant stimulus"}
+    yield Covariate("row_seconds", "row_s", "s", "s", "duration of the row", **facts)
+    for order, word in zip(HIGHER_DERIVATIVES, ("third", "fourth", "fifth", "sixth", "seventh", "eighth"), strict=True):
+        yield Covariate(
+            f"table_angle_d{order}", f"table_angle_d{order}_deg_s{order}", f"deg/s^{order}", f"rad/s^{order}",
+            f"{word} derivative of the table angle", **facts,
+        )  # fmt: skip
+    for order, word in zip(ROW_SLOPES, ("first", "second", "third", "fourth", "fifth", "sixth"), strict=True):
+        yield Covariate(
+            f"row_slope_{order}", f"row_slope_{order}_s{order}", f"1/s^{order}", f"1/s^{order}",
+            f"weight of an instant in the mean {word} derivative over its row, over its weight in the mean",
+            "derived", **facts,
+        )  # fmt: skip
+
+
+HIGHER_DERIVATIVES = (3, 4, 5, 6, 7, 8)
+"""Orders of the derivatives of the table angle that a row in motion has beside rate and acceleration.
+
+A polynomial of the eighth degree follows 8 Hz over a row of 60 ms to 1e-6 of the rate, and its mean rate exactly."""
+ROW_SLOPES = (1, 2, 3, 4, 5, 6)
+"""Orders n of `row_slope_n`: the sum of weight · row_slope_n · x over the instants of a row is the mean of dⁿx/dtⁿ.
+
+An effect that multiplies its signal by 1 − τ·row_slope_1 + τ²·row_slope_2 − … gives its row the mean of the lagged
+signal. `shared_formulas.lagged` does."""
 _KELVIN_PER_SECOND = "degC/s"
 _CLOCK = "time"
 _ENTRIES = (
@@ -144,6 +173,7 @@ _ENTRIES = (
         "table_acceleration", "table_acceleration_deg_s2", "deg/s^2", "rad/s^2", "table acceleration", ambient=False,
         shown=False, regressor=False,
     ),
+    *_rows_in_motion(),
     *_outer_axes(),
     Covariate(
         "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0, relative=True,

@@ -209,6 +209,7 @@ class Procedure:
     injected : whether a current replaces the accelerometer at the converter input.
     at_rest : whether the unit rests from the first sample to the last.
     driven : whether a gyro drives the table, whose angle is then the observation.
+    followed : whether rows may follow the angle of the table through its motion (`followed_rows`).
     abscissae : covariates for the abscissa of figures; the first that varies is used.
     row_name : name of a row in figures.
     plan : the keys of a planned run; None if it cannot be planned.
@@ -232,6 +233,7 @@ class Procedure:
     injected: bool = False
     at_rest: bool = False
     driven: bool = False
+    followed: bool = False
     abscissae: tuple[str, ...] = ("time",)
     row_name: str = "row"
     plan: PlanRules | None = None

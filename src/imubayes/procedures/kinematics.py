@@ -25,6 +25,7 @@ from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import gauss_legendre
 from imubayes.procedures.ambient import ambient_of
+from imubayes.procedures.followed_rows import arc_slopes, followed, followed_nodes
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ _NODES_VERTICAL, _NODES_INCLINED = 4, 12
 _VERTICAL_WITHIN = math.radians(1.0)
 # A partial turn is integrated by Gauss–Legendre quadrature: exact for polynomials of degree 9 over the arc.
 _ARC_POINTS, _ARC_WEIGHTS = gauss_legendre(5)
+_NO_NODES = np.zeros(0)
 
 
 def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -197,17 +199,49 @@ def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     to_local = table.to_local if table else np.eye(3)
     vertical = abs(to_local[2, 2]) > math.cos(_VERTICAL_WITHIN)
     whole_turn_nodes = _NODES_VERTICAL if vertical else _NODES_INCLINED
-    angles, spans = run.covariates["table_angle"], run.covariates["table_angle_span"]
-    per_row = [_angle_nodes(a, s, whole_turn_nodes) for a, s in zip(angles, spans, strict=True)]
     mounting = campaign.mountings[run.mounting].body_to_table if run.mounting is not None else np.eye(3)
+    moves = followed(run)
+    rows = zip(run.covariates["table_angle"], run.covariates["table_angle_span"], moves.tolist(), strict=True)
+    per_row = [(_NO_NODES, _NO_NODES) if moving else _angle_nodes(a, s, whole_turn_nodes) for a, s, moving in rows]
     still = at_rest(run, campaign, [weights for _, weights in per_row], to_local, mounting)
     angle = np.concatenate([nodes for nodes, _ in per_row])
-    return replace(
+    constant = replace(
         still,
         table_angle=angle,
         table_rate=run.covariates["table_rate"][still.row],
         table_acceleration=run.covariates.get("table_acceleration", np.zeros(run.rows))[still.row],
         ambient=still.ambient | {"table_angle": angle},
+    )
+    return _with_motion(constant, run, campaign, to_local, mounting) if moves.any() else constant
+
+
+def _with_motion(
+    constant: Stimulus, run: Run, campaign: Campaign, to_local: np.ndarray, mounting: np.ndarray
+) -> Stimulus:
+    """Return the stimulus with the rows in which the angle of the table is followed."""
+    nodes = followed_nodes(run)
+    weights = np.split(nodes.weight, np.flatnonzero(np.diff(nodes.row)) + 1)
+    per_row = dict(zip(np.unique(nodes.row).tolist(), weights, strict=True))
+    moved = at_rest(run, campaign, [per_row.get(row, _NO_NODES) for row in range(run.rows)], to_local, mounting)
+    ambient = moved.ambient | nodes.ambient | {"table_angle": nodes.angle, "table_rate": nodes.rate}
+    still = np.zeros(len(constant.row))
+    # A rotating vector changes within a row of constant rate as well, unless it is a mean over whole turns.
+    held = (
+        constant.ambient
+        | dict.fromkeys(nodes.ambient, still)
+        | arc_slopes(run, constant.row, _ARC_POINTS / 2, _ARC_WEIGHTS / 2)
+    )
+    joined = {
+        name: np.concatenate([getattr(constant, name), getattr(moved, name)])
+        for name in ("row", "weight", "base", "mounting", "reference_rate", "reference_acceleration", "pose")
+    }
+    return replace(
+        constant,
+        **joined,
+        table_angle=np.concatenate([constant.table_angle, nodes.angle]),
+        table_rate=np.concatenate([constant.table_rate, nodes.rate]),
+        table_acceleration=np.concatenate([constant.table_acceleration, nodes.acceleration]),
+        ambient={name: np.concatenate([held.get(name, still), values]) for name, values in ambient.items()},
     )
 
 

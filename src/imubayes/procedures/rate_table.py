@@ -269,8 +269,9 @@ def _planned_rows(steps: PlannedSteps) -> PlannedRows:
 RATE_TABLE = Procedure(
     name="rate_table",
     reference="IEEE Std 952, rate table test series",
-    columns=(("table_rate_deg_s",),),
+    columns=(("table_rate_deg_s", "table_angle_deg"),),
     needs_table=True,
+    followed=True,
     abscissae=("table_rate", "temperature", "time"),
     plan=PlanRules(("rates_deg_s",), ("converter_temperature_degC",), 20.0, _planned_rows),
     evaluate=rate_test,

@@ -24,6 +24,7 @@ from imubayes_recordings.convert.column_names import (
     TEMPERATURE,
     TIME,
 )
+from imubayes_recordings.convert.encoder import is_followed, with_encoder_rate
 from imubayes_recordings.convert.motion_kind import procedure_in_motion
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.raw_counts import nominal_of_counts
@@ -96,7 +97,8 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     notes += stand.notes
     document |= {"table": stand.table, "mounting": stand.mounting} if stand.table else {}
     document["run"] = [
-        _run(label, each, options) | seat for label, (each, _), seat in zip(labels, own, stand.seats, strict=True)
+        _run(label, each, options) | seat | _motion(run, each)
+        for label, (each, _), seat, run in zip(labels, own, stand.seats, runs, strict=True)
     ]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
     _add_turns(document, tables, list(zip(labels, turns, strict=False)), options)
@@ -199,6 +201,11 @@ def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))
     return run
+
+
+def _motion(run: RecordedRun, procedure: str) -> dict[str, Any]:
+    """Return the key by which the motion of a table is used, if an encoder was read throughout."""
+    return {"transitions": True} if procedure == _ON_TABLE and not run.means and is_followed(run.columns) else {}
 
 
 def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, where: str) -> tuple[str, str]:
@@ -329,7 +336,7 @@ def _of_table(run: RecordedRun, where: str) -> RecordedRun:
             remedy = f"state another column of {name}, or convert it"
             raise input_error(f"column {name} is in {unit}", where, f"{own}, or a unit that is one in rad", remedy)
         columns[name] = np.degrees(np.asarray(columns[name]) / known.scale * to_si(known.per))
-    return replace(run, columns=columns)
+    return replace(run, columns=with_encoder_rate(columns))
 
 
 def _in_rates(run: RecordedRun, units: Units, where: str) -> RecordedRun:

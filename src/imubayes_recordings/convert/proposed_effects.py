@@ -31,6 +31,8 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "gyro_bias_temperature_quadratic", "gyro_bias_temperature_cubic", "gyro_scale_temperature",
            "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
+IN_MOTION = ("gyro_bandwidth", "accel_bandwidth", "time_skew")
+"""Further effects of runs that follow the angle of their table: no sensor is without them."""
 NOISE = ("white_noise", "encoder_noise", "run_scatter", "hand_acceleration", "hand_velocity")
 DETERMINED = 0.5
 """Least share of the information from the data: of every coefficient of a further effect, and of one that is stated as
@@ -106,10 +108,11 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     wanted = (*of_equipment(), *STATION, *SENSORS, *further, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
-    specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
+    specs = [spec for name in names for spec in _specs(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
     known = linear_information(model)
     kept, shares = _kept(model, known, names, purposes)
+    kept |= _delaying(kept) & set(names)
     own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
         effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
@@ -140,7 +143,9 @@ def _expected(model: Model, known: LinearInformation, kept: set[str]) -> tuple[E
 def _further(campaign: Campaign) -> tuple[str, ...]:
     """Return the further effects: a unit that is waved has no axis that its sensors could be off by a lever arm."""
     waved = all(_in_motion(run) for run in campaign.runs)
-    return tuple(name for name in FURTHER if not (waved and name == "lever_arm"))
+    followed = any("row_seconds" in run.covariates for run in campaign.runs)
+    further = (*FURTHER, *IN_MOTION) if followed else FURTHER
+    return tuple(name for name in further if not (waved and name == "lever_arm"))
 
 
 def _in_motion(run: Run) -> bool:
@@ -156,6 +161,21 @@ def _turned_by_hand(campaign: Campaign) -> bool:
     """Tell whether there is no fixture: a unit that rests in attitudes that nobody knows, and stated turns of it."""
     apart = [run for run in campaign.runs if run.tumble is None]
     return len(apart) < len(campaign.runs) and all(run.turn_uncertainty is not None for run in apart)
+
+
+def _delaying(kept: set[str]) -> set[str]:
+    """Return the effects that go with others: the lag of an accelerometer delays what its lever arm does."""
+    return {"accel_bandwidth"} if "lever_arm" in kept else set()
+
+
+def _specs(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
+    """Return the entries of an effect.
+
+    Beside a clock offset a negative lag has the same gain as a positive one, and nearly the same phase: it is positive.
+    """
+    if name in ("gyro_bandwidth", "accel_bandwidth"):
+        return [EffectSpec(name, prior={"tau": "lognormal(1.5 ms, 1)"}, optional=True)]
+    return _entries(name, campaign, by_hand)
 
 
 def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
@@ -201,7 +221,7 @@ def _kept(
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
     precision, widths, owner = known.precision, known.widths, known.owner
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
-    kept, shares, apart = set(names), {}, [name for name in FURTHER if name not in purposes]
+    kept, shares, apart = set(names), {}, [name for name in (*FURTHER, *IN_MOTION) if name not in purposes]
     while True:
         # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
         inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))

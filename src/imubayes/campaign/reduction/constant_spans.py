@@ -11,8 +11,9 @@ settles is left out.  Where the temperature is the stimulus, spans are divided i
 constant.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -74,6 +75,7 @@ def level_labels(values: np.ndarray, relative: float, absolute: float) -> np.nda
     return label
 
 
+LEAST_READING = 1e-6  # deg; angles are written with six decimals
 REST_RATE = 1e-6  # deg/s; rates below it are rest
 RATE_TOLERANCE = 1e-3  # relative; rates closer than this are equal
 ANGLE_TOLERANCE = 0.01  # deg; smaller than the steps of a dividing head
@@ -86,8 +88,6 @@ BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
 FOLLOW_SECONDS = 1.0
 FOLLOW_DEGREES = 15.0
-PASSING_CHANGE = 0.02  # of the largest rate, within a mean between levels
-LEAST_PASSING_ROWS = 4  # for a mean rate and an acceleration from the angle
 SMOOTHING_BLOCKS = 51
 RECORD_SECONDS = 60.0
 RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enough for its covariance
@@ -128,7 +128,7 @@ class Dropped:
 class Span:
     """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` where the table rotated.
 
-    `passing` spans lie between levels: the rate changes, and is that of the angle.
+    `passing` spans are windows between levels: the rate changes, and follows the angle (`encoder_path`).
     """
 
     start: int
@@ -214,8 +214,12 @@ def _unsettled(blocks: BlockSurvey, steady: Steady, first: int, channels: tuple[
 
 def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return per block the rate, whether the table turns, the number of the level, and whether its rate varies."""
-    rate, within, noise = _rate(blocks)
-    smooth = _smoothed(rate, blocks)
+    if bench.reading_noise is None:
+        rate, within, noise = _rate(blocks)
+        smooth = _smoothed(rate, blocks)
+    else:
+        rate, within, noise = _rate_of_encoder(blocks, bench.reading_noise)
+        smooth = rate  # a running median would take a fast oscillation out
     absolute = REST_RATE + (NOISE_FACTOR * noise if bench.rate_tolerance is None else bench.rate_tolerance)
     label = level_labels(np.nan_to_num(smooth), RATE_TOLERANCE, absolute)
     change = np.diff(label) != 0
@@ -295,51 +299,28 @@ def _mean_of(values: np.ndarray) -> float:
     return float(np.median(late)) if len(late) else np.nan
 
 
-def with_transitions(detected: Detected, blocks: BlockSurvey) -> Detected:
-    """Return the spans of a log with what lies between them, in spans short enough for a changing rate.
-
-    Within a span the rate changes by at most `PASSING_CHANGE` of the largest, so that the mean of its square differs
-    from the square of its mean by 3e-5 of the largest square.  Blocks with missing samples are left out.
-    """
-    rate, _ = _rate_of_angle(blocks)
-    stop = blocks.start + blocks.count
-    free = ~_holed(blocks)
-    for span in detected.spans:
-        free[np.searchsorted(blocks.start, span.start) : np.searchsorted(stop, span.stop, side="right")] = False
-    most = PASSING_CHANGE * float(np.nanmax(np.abs(rate), initial=0.0))
-    found = list(detected.spans)
-    edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0))
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        found += [
-            replace(span, turning=True, passing=True)
-            for span in _followed(blocks, rate, np.ones(blocks.size, dtype=bool), first, last, most)
-            if span.rows >= LEAST_PASSING_ROWS
-        ]
-    return Detected(sorted(found, key=lambda span: span.start))
+def stretches_between(detected: Detected, blocks: BlockSurvey) -> list[tuple[int, int]]:
+    """Return the rows between the spans of a log: the first of each stretch, and the one after its last."""
+    edges = [(span.start, span.stop) for span in detected.spans]
+    rows = int(blocks.start[-1] + blocks.count[-1])
+    starts, stops = [0, *(stop for _, stop in edges)], [*(start for start, _ in edges), rows]
+    return [(start, stop) for start, stop in zip(starts, stops, strict=True) if stop > start]
 
 
 def followed_spans(blocks: BlockSurvey) -> list[Span]:
     """Return contiguous spans of at most `FOLLOW_SECONDS` and `FOLLOW_DEGREES`, for a varying stimulus."""
     rate, _, noise = _rate(blocks)
     turning = np.abs(rate) > np.maximum(REST_RATE, NOISE_FACTOR * noise)
-    return _followed(blocks, rate, turning, 0, blocks.size, np.inf)
-
-
-def _followed(
-    blocks: BlockSurvey, rate: np.ndarray, turning: np.ndarray, first: int, last: int, most: float
-) -> list[Span]:
-    """Return short spans of the blocks first … last − 1, within which the rate changes by at most `most`, deg/s."""
     seconds = np.where(np.isfinite(rate), blocks.count * (blocks.interval or 0.0), np.inf)
     degrees = np.abs(np.nan_to_num(rate)) * seconds
-    spans, begin, lasted, swept = [], first, 0.0, 0.0
-    for place in range(first, last):
+    spans, begin, lasted, swept = [], 0, 0.0, 0.0
+    for place in range(blocks.size):
         full = lasted + seconds[place] > FOLLOW_SECONDS or swept + degrees[place] > FOLLOW_DEGREES
-        full |= abs(rate[place] - rate[begin]) > most
         if place > begin and (full or turning[place] != turning[begin]):
             spans.append(_span(blocks, begin, place, turning))
             begin, lasted, swept = place, 0.0, 0.0
         lasted, swept = lasted + seconds[place], swept + degrees[place]
-    return [*spans, _span(blocks, begin, last, turning)] if last > first else []
+    return [*spans, _span(blocks, begin, blocks.size, turning)] if blocks.size else []
 
 
 def block_spans(blocks: BlockSurvey) -> tuple[list[Span], float]:
@@ -398,6 +379,16 @@ def _rate(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray, float]:
         return still, still, 0.0
     rate, lasted = _rate_of_angle(blocks)
     return rate, still, max(column_noise(rate), ANGLE_STEADY / float(np.median(lasted[lasted > 0])))
+
+
+def _rate_of_encoder(blocks: BlockSurvey, reading: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the same by the angle alone, whose readings have a standard deviation of `reading`, deg."""
+    rate, lasted = _rate_of_angle(blocks)
+    usual = float(np.median(lasted[lasted > 0]))
+    # A block that swings has a larger range than its ends are apart; across a turn of the encoder it shows none.
+    swing = blocks.high["table_angle_deg"] - blocks.low["table_angle_deg"] - np.abs(rate) * lasted
+    within = np.where(swing < 180.0, np.maximum(swing - NOISE_FACTOR * reading, 0.0), 0.0) / usual
+    return rate, within, math.sqrt(2.0) * max(reading, LEAST_READING) / usual
 
 
 def _rate_of_angle(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray]:

@@ -26,12 +26,13 @@ from imubayes.campaign.reduction.constant_spans import (
     block_spans,
     constant_spans,
     followed_spans,
-    with_transitions,
+    stretches_between,
 )
+from imubayes.campaign.reduction.encoder_path import EncoderWindows, encoder_log, moving_windows, reading_noise
 from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
 from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
-from imubayes.foundations.covariates import recorded_columns
+from imubayes.foundations.covariates import HIGHER_DERIVATIVES, recorded_columns
 from imubayes.foundations.wording import counted
 from imubayes.procedures import Reduction
 
@@ -59,7 +60,6 @@ def clipping_note(channel: str, limits: Sequence[float], left_out: int, of: int,
 
 
 CONSTANT = "where the stimulus was constant"
-STEADY_ACCELERATION = 0.05  # of the largest; means whose accelerations differ by less have the same
 UNSTEADY = 0.02  # relative standard deviation; a rate table is far more stable
 
 
@@ -104,33 +104,47 @@ def reduce_log(
     labelled : spans from the `segment` column, where there is one.
     limits : channel → values at which it is clipped; means that hold such samples are left out.
     bench : settings of the table.
-    transitions : whether what lies between spans of constant stimulus is used as well, in short means.
+    transitions : whether what lies between spans of constant stimulus is used as well, in windows that follow the angle
+        of the table.
     """
     layout, coarse = source.layout, coarse_temperatures(blocks)
     blocks = _with_temperatures(blocks, coarse)
-    detected, how = _spans_of(source, reduction, blocks, labelled, bench)
+    windows, missed = None, 0
     if transitions:
-        detected, how = with_transitions(detected, blocks), f"{how}, and between"
+        detected, windows = _followed(source, blocks, bench or BenchSettings())
+        how, missed = f"{CONSTANT}, and between", windows.lost
+    else:
+        detected, how = _spans_of(source, reduction, blocks, labelled, bench)
     spans = detected.spans
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
-    jerked = _jerked(reduced)
-    numbers = _columns(columns, layout, reduced, jerked)
+    numbers = _columns(columns, layout, reduced)
+    if windows is not None:
+        numbers |= _motion_columns(numbers, windows, _values(reduced, "passing").astype(bool))
     numbers |= _span_temperatures(blocks, spans, coarse)
     first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    changing = (f"{jerked.sum()} means left out where the acceleration of the table changes",) if jerked.any() else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
     return Rows(
         numbers,
         first,
         unsteady,
-        (*_account(rows, reduced, how, spans, detected.dropped), *changing, *lost, *_between_steps(coarse)),
+        (*_account(rows, reduced, how, spans, detected.dropped, missed), *lost, *_between_steps(coarse)),
         tuple(detected.dropped.levels),
     )
+
+
+def _followed(source: TableSource, blocks: BlockSurvey, bench: BenchSettings) -> tuple[Detected, EncoderWindows]:
+    """Return the spans of a log whose motion is used as well, and the windows among them."""
+    log = encoder_log(source)
+    settings = replace(bench, reading_noise=reading_noise(log))
+    levels = constant_spans(blocks, source.layout.channels, bench=settings)
+    windows = moving_windows(log, stretches_between(levels, blocks))
+    spans = sorted([*levels.spans, *windows.spans()], key=lambda span: span.start)
+    return Detected(spans, Dropped(levels=levels.dropped.levels)), windows
 
 
 def _with_temperatures(blocks: BlockSurvey, coarse: Mapping[str, CoarseTemperature]) -> BlockSurvey:
@@ -192,7 +206,7 @@ def _leave_out_clipped(
     )
 
 
-def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row], jerked: np.ndarray) -> dict[str, np.ndarray]:
+def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> dict[str, np.ndarray]:
     shape = (len(reduced), len(columns))
     mean, sd = _values(reduced, "mean").reshape(shape), _values(reduced, "sd").reshape(shape)
     lost, known = _values(reduced, "lost").astype(bool), _values(reduced, "angle_known").astype(bool)
@@ -200,7 +214,7 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row], jerke
     still = swept == 0.0
     numbers = {name: mean[:, index] for index, name in enumerate(columns)}
     for name in layout.channels:
-        numbers[name] = np.where(lost | jerked, np.nan, numbers[name])
+        numbers[name] = np.where(lost, np.nan, numbers[name])
         numbers[f"{name}_sd"] = sd[:, columns.index(name)]
     numbers["samples"] = _values(reduced, "samples").astype(float)
     if "table_angle_deg" in numbers:
@@ -210,38 +224,26 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row], jerke
     if "table_rate_deg_s" not in numbers and not still.all():
         numbers["table_rate_deg_s"] = _values(reduced, "rate")
     numbers["table_angle_span_deg"] = swept
-    passing = _values(reduced, "passing").astype(bool)
-    if passing.any():
-        # A rate column may be a command, which the table follows later.
-        recorded = numbers.get("table_rate_deg_s", np.zeros(len(reduced)))
-        numbers["table_rate_deg_s"] = np.where(passing, _values(reduced, "rate"), recorded)
-        slope = np.where(
-            jerked, _values(reduced, "acceleration"), _slope(numbers["time_s"], numbers["table_rate_deg_s"])
-        )
-        known = numbers.get("table_acceleration_deg_s2", np.zeros(len(reduced)))
-        numbers["table_acceleration_deg_s2"] = np.where(passing, slope, known)
     return numbers
 
 
-def _jerked(reduced: list[Row]) -> np.ndarray:
-    """Return the means between levels in or beside which the acceleration changes, shape (R,).
+def _motion_columns(
+    numbers: dict[str, np.ndarray], windows: EncoderWindows, passing: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the columns of the table with what the encoder tells of the rows between levels, (R,) bool.
 
-    There an output that lags is not yet behind its input by what belongs to the acceleration of the row.
+    A rate column may be a command, which the table follows later.
     """
-    passing, acceleration = _values(reduced, "passing").astype(bool), _values(reduced, "acceleration")
-    if not passing.any():
-        return passing
-    # Of constant acceleration, second differences are noise: six times the variance of one.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(acceleration[passing], 2)))) / 6**0.5 if passing.sum() > 3 else 0.0
-    most = max(STEADY_ACCELERATION * float(np.abs(acceleration[passing]).max()), 6 * noise)
-    change = np.abs(np.diff(acceleration)) > most
-    return passing & (np.append(change, False) | np.insert(change, 0, False))
-
-
-def _slope(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the slope of the mean rate from the mean before to the one after, less noisy than that within a mean."""
-    before, after = np.maximum(np.arange(len(time)) - 1, 0), np.minimum(np.arange(len(time)) + 1, len(time) - 1)
-    return (rate[after] - rate[before]) / (time[after] - time[before])
+    derivatives = {f"table_angle_d{order}_deg_s{order}": windows.derivatives[order] for order in HIGHER_DERIVATIVES}
+    of_windows = {
+        "table_angle_deg": windows.derivatives[0], "table_rate_deg_s": windows.rate,
+        "table_acceleration_deg_s2": windows.derivatives[2], "table_angle_span_deg": windows.span,
+        "row_s": windows.seconds, **derivatives,
+    }  # fmt: skip
+    found = {name: numbers.get(name, np.zeros(len(passing))).copy() for name in of_windows}
+    for name, values in of_windows.items():
+        found[name][passing] = values
+    return found
 
 
 def _values(reduced: list[Row], field: str) -> np.ndarray:
@@ -257,14 +259,16 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
     )
 
 
-def _account(rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped) -> tuple[str, ...]:
+def _account(
+    rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped, missed: int
+) -> tuple[str, ...]:
     """Return a note on the rows kept, the means formed, and the rows left out with their causes."""
     used = sum(row.samples for row in reduced)
     count = Counter(row.state for row in reduced)
     holes = sum(row.holes for row in reduced)
     means = [f"{number} {words}" for state, words in _STATES.items() if (number := count[state])]
     # What is in no span and has no other cause is unlabelled, or between spans that follow a stimulus.
-    between = rows - sum(span.rows for span in spans) - _known(dropped)
+    between = rows - sum(span.rows for span in spans) - _known(dropped) - missed
     causes = {
         "while the stimulus changed": dropped.changing,
         "in motion": dropped.moving,
@@ -272,6 +276,7 @@ def _account(rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dro
         "at levels where an output did not settle": dropped.unsettled,
         "beyond whole turns": sum(span.rows for span in spans) - used,
         "in no interval": between,
+        "where no smooth motion follows the angle of the table": missed,
     }
     left = ", ".join(f"{number} {cause}" for cause, number in causes.items() if number > 0)
     notes = [
@@ -290,6 +295,7 @@ def _account(rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dro
 
 _STATES = {
     "rest": "at rest",
+    "motion": "in motion",
     "whole turns": "over whole turns",
     "partial turn": "over less than one turn",
     "lost": "without a whole turn",

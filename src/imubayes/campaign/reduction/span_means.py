@@ -4,7 +4,7 @@ Angle-dependent terms average out over whole turns only, and a turn ends between
 therefore the trapezoidal integral over angle up to the interpolated end; for a smooth periodic signal its error is of
 third order in the angle between samples, also with a few lost samples.  No integral crosses a hole in the log: of the
 stretches between holes, the one with most turns is used.  The standard deviation of one sample is about the mean at
-rest, and from successive differences while turning, where the signal itself varies.
+rest, from successive differences while turning, where the signal itself varies, and about a quintic between levels.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,6 +19,7 @@ from imubayes.campaign.run_tables import RowBatch
 
 _LOST = 1.5  # a time step of more sampling intervals than this has lost samples
 _HOLE = 20.0  # deg; lost samples over a larger angle cannot be interpolated
+_SMOOTH, _LEAST_ABOUT = 6, 12  # coefficients of a quintic, and samples for the scatter about it
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,6 @@ class Row:
     turns : number of whole turns averaged, 0 at rest or over a partial turn.
     swept : angle swept, deg; 0 at rest, NaN where unknown.
     rate : mean rate from the angle column, deg/s; 0 at rest, NaN without an angle column.
-    acceleration : of a span between levels, from the angle column, deg/s²; 0 in others.
     angle_known : whether the mean of the angle column is the angle of the row.
     missing : whether cells were empty.
     holes : whether turns with missing samples were left out.
@@ -48,7 +48,6 @@ class Row:
     turns: int
     swept: float
     rate: float
-    acceleration: float
     angle_known: bool
     missing: bool
     holes: bool
@@ -60,10 +59,10 @@ class Row:
         return self.holes and not self.turns
 
     @property
-    def state(self) -> Literal["lost", "rest", "whole turns", "partial turn"]:
+    def state(self) -> Literal["lost", "motion", "rest", "whole turns", "partial turn"]:
         """Kind of the mean, by the motion of the table."""
-        if self.lost:
-            return "lost"
+        if self.lost or self.passing:
+            return "lost" if self.lost else "motion"
         if self.swept == 0.0:
             return "rest"
         return "whole turns" if self.turns else "partial turn"
@@ -100,8 +99,9 @@ class _SpanSum:
         self._swept = self._begun = 0.0
         self._turns = self._most = 0
         self._holes = self._dropped = False
-        self._angles: list[np.ndarray] = []
-        self._trackable = span.turning and (interval is not None or self._angle is not None)
+        self._tables: list[np.ndarray] = []
+        # Rows between levels are means over all samples, whatever the angle.
+        self._trackable = span.turning and not span.passing and (interval is not None or self._angle is not None)
 
     def add(self, table: np.ndarray) -> None:
         """Add consecutive rows of the span, shape (n, columns)."""
@@ -162,10 +162,10 @@ class _SpanSum:
         if self._angle is not None:
             values[0, self._angle] = self._angle_last
             values[1:, self._angle] = self._unwrapped(joined)
-            if self.span.passing:
-                self._angles.append(values[1:, self._angle])
         if self._trackable:
             self._cut_turns(joined, values, weight)
+        if self.span.passing:
+            self._tables.append(table)
         both = weight[1:] * weight[:-1] * ~self._lost(joined)[:, None]
         step = np.where(both > 0, np.diff(values, axis=0), 0.0)
         skip = 1 if self._rows == 0 else 0
@@ -197,13 +197,12 @@ class _SpanSum:
         unknown_sweep = turning and not self._trackable
         return Row(
             mean,
-            stepwise if turning else plain,
+            self._about_motion() if self.span.passing else stepwise if turning else plain,
             plain,
             samples,
             self._most,
             np.nan if unknown_sweep else (swept if turning else 0.0),
             self._rate_from_angle() if turning else 0.0,
-            self._acceleration_from_angle() if self.span.passing else 0.0,
             known,
             self._dropped or bool(np.any((self._weight > 0) & (self._weight < self._rows))),
             self._holes,
@@ -215,13 +214,15 @@ class _SpanSum:
             return float("nan")
         return float(self._angle_last / ((self._rows - 1) * self._interval))
 
-    def _acceleration_from_angle(self) -> float:
-        """Return the second difference of the angle between both ends and the middle, exact for a constant one."""
-        if not self._angles or self._interval is None:
-            return float("nan")
-        angle = np.concatenate(self._angles)
-        half = (len(angle) - 1) // 2
-        return float((angle[2 * half] - 2 * angle[half] + angle[0]) / (half * self._interval) ** 2)
+    def _about_motion(self) -> np.ndarray:
+        """Return the standard deviation of one sample about a quintic in time; NaN where there are too few samples."""
+        table = np.concatenate(self._tables)
+        count = len(table)
+        if count < _LEAST_ABOUT:
+            return np.full(table.shape[1], np.nan)
+        smooth = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), _SMOOTH))[0]
+        residual = table - smooth @ (smooth.T @ table)
+        return np.sqrt(np.sum(residual**2, axis=0) / (count - _SMOOTH))
 
     def _begin(self, table: np.ndarray) -> None:
         width = table.shape[1]

@@ -16,6 +16,7 @@ from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
 from imubayes.campaign.setup_gate.explanations import Explanation, equally_good
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
+from imubayes.campaign.setup_gate.rows_in_motion import steady_rows, without_motion
 from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Search
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
@@ -104,7 +105,8 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
     places : where what is said stands in the files.
     accepted : names of findings that the campaign accepts; they are warnings.
     """
-    rows = wrong_rows(campaign)
+    rows = wrong_rows(without_motion(campaign))
+    campaign = steady_rows(campaign)
     said = [_of_row(campaign, each, places) for each in rows]
     judged = judge_setup(with_rows(campaign, rows))
     for equal in judged.mistakes:
