@@ -1,7 +1,7 @@
 """The batch in lanes against a loop of `scipy.optimize.least_squares` over the same units, residuals and optima.
 
 The units are those of `data/trihedral-imu` with other readings.  SciPy minimises the residual at the noise scales that
-the batch has found.  The batch is measured with these noise scales given, which is the same task, and where it finds
+the batch has found.  The batch is measured with these noise scales given, which is the same task, and if it finds
 them as well.  Times are CPU times, so that other processes do not disturb them.
 """
 

@@ -1,7 +1,7 @@
-"""What a batch needs whatever its size: memory for 1000 and 5000 units, and compiling for five structures.
+"""Resources of a batch of any size: memory for 1000 and 5000 units, and compiling for five structures.
 
 Units are campaigns on disk, copies of shipped ones with other readings, fitted by `run_batch` in a process of its own.
-What grows with the number of units, if anything does, is the driver: for the large numbers only the first chunk is
+If anything grows with the number of units it is the driver: for the large numbers only the first chunk is
 fitted, and the others get copies of its posteriors.
 """
 

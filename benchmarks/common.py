@@ -1,4 +1,4 @@
-"""What all benchmarks share: the machine in words, timings, tables, and the campaign that is measured."""
+"""Shared by all benchmarks: the machine in words, timings, tables, and the campaign that is measured."""
 
 import os
 import platform
@@ -107,7 +107,7 @@ def in_words(value: float) -> str:
 
 
 def require(package: str) -> None:
-    """Leave with a sentence where a package of the `bench` extra is missing."""
+    """Leave with a sentence if a package of the `bench` extra is missing."""
     if not _version(package):
         sys.exit(
             f"This benchmark compares with {package}, which is not installed.  It belongs to the extra 'bench': "

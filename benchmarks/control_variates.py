@@ -102,14 +102,14 @@ def _stated(fit: Fit, points: np.ndarray) -> np.ndarray:
 
 
 def _digits(marginal: Marginal) -> tuple[bool, bool]:
-    """Tell whether an end has the largest Monte Carlo error, and whether exact mean and sd would leave more digits."""
+    """Return whether an end has the largest Monte Carlo error, and whether exact mean and sd would give more digits."""
     end = max(marginal.errors.low, marginal.errors.high)
     largest, tolerances = marginal.errors.largest, [numerical_tolerance(marginal.sd, digits) for digits in (1, 2)]
     return end == largest, any(2 * end <= tolerance < 2 * largest for tolerance in tolerances)
 
 
 def intercepts(values: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of values (n, Q) where controls (n, C) are at their expectation 0, and its variance, (Q,) each.
+    """Return the mean of values (n, Q) if controls (n, C) are at their expectation 0, and its variance, (Q,) each.
 
     Both by least squares, the coefficients from the same draws.
     """

@@ -103,7 +103,7 @@ def cpu_seconds() -> float:
 
 
 def timed(command: Sequence[str], times: int, environment: Mapping[str, str] | None = None) -> float:
-    """Return the median wall time of a command; stops with its own words where it fails."""
+    """Return the median wall time of a command; stops with its own words if it fails."""
     taken = []
     for _ in range(times):
         clock = time.perf_counter()

@@ -213,7 +213,7 @@ def pytest_collection_modifyitems(items):
 
 
 def _weight(file: Path) -> int:
-    """Return the place of a file among those that compile, by its longest entry; their number where it does not."""
+    """Return the place of a file among those that compile, by its longest entry; their number if it does not."""
     path = Path(os.path.relpath(file, Path(__file__).parent)).as_posix()
     entries = [(len(part), place) for place, part in enumerate(COMPILED) if path.startswith(part)]
     return max(entries)[1] if entries else len(COMPILED)

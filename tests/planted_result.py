@@ -20,7 +20,7 @@ def planted(
 
     Parameters
     ----------
-    effects : the ones that the unit has; all where none is named.  The others are to be at their nulls.
+    effects : the ones that the unit has; all if none is named.  The others are to be at their nulls.
     sd : posterior standard deviation over the one of the prior.
     like : a fit of the same model, of which the derived quantities are taken.
     """

@@ -359,7 +359,7 @@ def at_null() -> np.ndarray:
 def predicted_with(name: str, label: str, **values: float) -> np.ndarray:
     """Return what every entry of the wide campaign reads with one effect at work on what is labelled, output units.
 
-    All others are in the model, at their nulls.  What is not given is at the middle of its prior.
+    All others are in the model, at their nulls.  A parameter that is not given is at the middle of its prior.
     """
     one, z = whole_catalogue(), at_null().copy()
     for place, parameter in enumerate(one.layout.parameters):

@@ -13,7 +13,7 @@ from beartype import BeartypeConf, beartype
 from beartype.claw import beartype_packages
 from hypothesis import settings
 
-# An int stands where a float is asked for (PEP 484).
+# An int stands if a float is asked for (PEP 484).
 CONFIGURATION = BeartypeConf(is_pep484_tower=True)
 checked = beartype(conf=CONFIGURATION)
 # What takes jaxtyping: shapes of arrays, and names that exist for type checkers alone, which it passes over.
@@ -96,7 +96,7 @@ def be_strict() -> None:
     settings.load_profile("tests")
     for package in IMPORTED_FIRST:
         import_module(package)
-    # Beartype alone is a tenth of the cost where no shapes are declared.
+    # Beartype alone is a tenth of the cost if no shapes are declared.
     source = Path(__file__).parents[1] / "src"
     jaxtyping.jaxtyped = shaped
     jaxtyping.install_import_hook(modules(source, shaped=True), "strict_types.checked")

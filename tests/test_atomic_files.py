@@ -1,4 +1,4 @@
-"""What a process that died left behind is removed by the next one; what a living one writes stays."""
+"""Files left by a process that died are removed by the next one; those that a living one writes stay."""
 
 import os
 import shutil

@@ -62,7 +62,7 @@ def test_a_wrong_example_is_seen():
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_argument_is_explained(name):
-    """In the section of the parameters, or, where there is none, by its name in the first sentence."""
+    """In the section of the parameters, or, if there is none, by its name in the first sentence."""
     arguments = inspect.signature(getattr(imubayes, name)).parameters
     section = text_of(name).partition("\nParameters\n")[2].partition("\nRaises\n")[0]
     heads = re.findall(r"^([\w, ]+) : ", section, re.MULTILINE)

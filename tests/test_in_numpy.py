@@ -1,4 +1,4 @@
-"""What NumPy makes of a traced function is what compiled code gives, also for derivatives; nothing is compiled."""
+"""NumPy evaluates a traced function to the values of compiled code, also for derivatives; nothing is compiled."""
 
 import pickle
 from functools import partial

@@ -184,6 +184,6 @@ def test_what_is_allowed_passes(sources):
 
 
 def test_no_two_test_files_share_a_name() -> None:
-    # pytest imports them by their bare name and refuses the second one, but only where both are collected.
+    # pytest imports them by their bare name and refuses the second one, but only if both are collected.
     names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
     assert sorted(names) == sorted(set(names))

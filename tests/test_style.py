@@ -53,7 +53,7 @@ def is_public(function: Function) -> bool:
 
 
 def follows_a_library(owner: ast.ClassDef | None) -> bool:
-    """Tell whether a class implements an interface of another package, or states one (Protocol)."""
+    """Return whether a class implements an interface of another package, or states one (Protocol)."""
     bases = [ast.unparse(base) for base in owner.bases] if owner is not None else []
     return any(("." in base and not base.startswith("eqx.")) or base in ("Protocol", "Move") for base in bases)
 

@@ -217,7 +217,7 @@ def pattern(left: Left) -> str:
 
 
 def _described(y: np.ndarray, design: np.ndarray) -> float:
-    """Return the share of a variance that columns describe, less what chance gives; 0 where many rows have none."""
+    """Return the share of a variance that columns describe, less what chance gives; 0 if many rows have none."""
     known = np.isfinite(design).all(axis=1)
     columns, y = design[known] - design[known].mean(axis=0), y[known] - y[known].mean()
     columns /= np.maximum(np.abs(columns).max(axis=0, initial=0), 1e-300)

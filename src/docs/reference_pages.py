@@ -174,7 +174,7 @@ def schema_pages() -> Pages:
 
 
 def _described(schema: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-    """Return the description of a record, and that of its keys where its docstring lists them as attributes."""
+    """Return the description of a record, and that of its keys if its docstring lists them as attributes."""
     described = schema.get("description", "").partition("Examples\n--------\n")[0]
     text, _, attributes = described.partition("Attributes\n----------\n")
     found = re.findall(r"^(\w[\w, ]*) : (.*?)(?=^\w[\w, ]* : |\Z)", attributes, re.MULTILINE | re.DOTALL)

@@ -1,4 +1,4 @@
-"""What every effect of the catalogue leaves in the residuals of shipped campaigns, by linear algebra.
+"""Residuals that every effect of the catalogue leaves in the residuals of shipped campaigns, by linear algebra.
 
 The model of a campaign has bias, scale factor, misalignment and the errors of the equipment; every other effect is a
 candidate.  At the mode of that model the outputs respond linearly to all of them, as in `imubayes diagnose`.  An effect
@@ -49,9 +49,9 @@ DRAWN = 30.0
 _OFFSET = 0.5
 """Standard deviation of the offset of a run, in noise of a raw sample: the default prior of `run_scatter`."""
 _ROUNDING = 1e-10
-"""What rounding leaves of a squared response, as a share."""
+"""Rounding error of a squared response, as a share."""
 _MOSTLY = 0.5
-"""Share of a response from which on a family that takes it up is one to be told from."""
+"""Share of a response from which on a family that takes it up is one to be distinguished from."""
 _ALIKE = 0.8
 """Share of what an effect leaves that another has to explain in order to imitate it."""
 
@@ -80,9 +80,9 @@ class Left:
     retained : share of its squared response that these do not take up.
     absorbed : parameter families that take up the rest, with their shares.
     imitators : effects that explain most of what it leaves, with the share.
-    separating : run that tells it from the first of these, and Δχ² between the two without and with that run.
-    freeing : run that tells it from what the model takes up most of it with, where that is half; Δχ² beside the model
-        without and with that run.
+    separating : run that distinguishes it from the first of these, and Δχ² between the two without and with that run.
+    freeing : run that distinguishes it from what the model takes up most of it with, if that is half; Δχ² beside the
+        model without and with that run.
     channel, unit : that is drawn, and unit of response, left and noise.
     covariate : of the abscissa.
     others : further covariates that vary in the rows.
@@ -207,7 +207,7 @@ class LinearCampaign:
         )  # fmt: skip
 
     def _helping(self, apart: Sequence[float]) -> tuple[str, float, float] | None:
-        """Return the run that adds most, and Δχ² without (the first of `apart`) and with it; None where none helps."""
+        """Return the run that adds most, and Δχ² without (the first of `apart`) and with it; None if none helps."""
         if not self.designs:
             return None
         best = int(np.argmax(apart[1:]))
@@ -228,7 +228,7 @@ class LinearCampaign:
     def _covariate(
         self, effect: str, kind: str, shown: np.ndarray, drawn: np.ndarray, varying: Sequence[ResidualCovariate]
     ) -> ResidualCovariate:
-        """Return the covariate that the rows shown follow best: of those of the formula, where they vary."""
+        """Return the covariate that the rows shown follow best: of those of the formula, if they vary."""
         member, row = self.model.registry.effects[effect], np.arange(int(shown.sum()), dtype=float)
         formula = covariates_of(member, kind) if kind in member.kinds else ()
         named = set().union(*formula) | {COVARIATES[need].column for need in member.needs if need in COVARIATES}
@@ -250,7 +250,7 @@ class _Gram:
         self._whole: _Beside | None = None
 
     def beside(self, effect: str) -> "_Beside":
-        """Return what the columns leave beside the model without an effect, where that is its own."""
+        """Return what the columns leave beside the model without an effect, if that is its own."""
         own = np.array([not family.startswith(f"{effect}.") for family in self.of.families])
         if not own.all():
             return _Beside(self, own)

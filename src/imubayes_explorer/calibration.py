@@ -20,8 +20,8 @@ class EstimateLine(Record):
     ----------
     kind : the table that it is of.
     weak : whether it is that of the prior.
-    before, before_sd : of the model that this one was made from; empty where that has none.
-    in_sd : the shift since, in standard uncertainties; None where there is none.
+    before, before_sd : of the model that this one was made from; empty if that has none.
+    in_sd : the shift since, in standard uncertainties; None if there is none.
     """
 
     kind: str

@@ -30,7 +30,7 @@ class Change:
     what, command : of it, in words, and what does the same.
     make, predict : what does it, and what shows it before the fit is made.
     adding : effects that are added, of which there is a linear prediction as well.
-    write, file : what writes the file that it needs; the file goes where the change is not made.
+    write, file : what writes the file that it needs; the file goes if the change is not made.
     """
 
     what: str
@@ -43,7 +43,7 @@ class Change:
 
     @cached_property
     def ahead(self) -> Ahead | None:
-        """What it does to the residuals; None where that takes the fit, and where the fit will say what is wrong."""
+        """What it does to the residuals; None if that takes the fit, and if the fit will say what is wrong."""
         try:
             return self.predict()
         except InputError:

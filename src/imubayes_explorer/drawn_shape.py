@@ -1,7 +1,7 @@
 """A shape drawn by hand over a covariate: the formula that is like it, what the data say of it, and held-out runs.
 
 The drawing says what the dependence looks like; its size and its level are estimated.  Terms of the library over the
-covariate are selected by how much of the drawing they explain, not of the residual.  Where none is like it, the drawing
+covariate are selected by how much of the drawing they explain, not of the residual.  If none is like it, the drawing
 itself is the term: a free form, linear between its points.
 """
 
@@ -63,7 +63,7 @@ class DrawnShape:
 
 
 def drawn_shape(drawing: DrawnCurve, covariates: Sequence[ResidualCovariate], gravity: float) -> DrawnShape:
-    """Return a drawing as a term; raises InputError where there is none, or its covariate stands in no formula."""
+    """Return a drawing as a term; raises InputError if there is none, or its covariate stands in no formula."""
     entries = {each.column: each for each in regressors() if each.symbol}
     known = {each.name: each.values for each in covariates if each.name in entries}
     if drawing.over not in known:

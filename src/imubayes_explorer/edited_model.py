@@ -49,7 +49,7 @@ def prior_text(model: Model, name: str) -> str:
 
 
 def with_prior(model: Model, name: str, text: str) -> ModelSpec:
-    """Return a model with another prior of a parameter, and of those that share it; the default where it is empty.
+    """Return a model with another prior of a parameter, and of those that share it; the default if it is empty.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class Guard:
         await self._application(inner, receive, sent)
 
     def _refusal(self, scope: Scope) -> str:
-        """Return why a request is refused; empty where it is not."""
+        """Return why a request is refused; empty if it is not."""
         headers: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
             if name in headers and name in (b"host", b"origin"):

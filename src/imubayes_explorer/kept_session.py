@@ -1,4 +1,4 @@
-"""What a session keeps beside its first result: the commands of every click, names and notes, locks of effects."""
+"""Kept by a session beside its first result: the commands of every click, names and notes, locks of effects."""
 
 from pathlib import Path
 from typing import Literal
@@ -37,7 +37,8 @@ class KeptSession(Record):
     def with_command(self, command: str, *, again: bool = False) -> "KeptSession":
         """Return the same with a command after the others.
 
-        What makes something is not repeated; what may be done `again`, such as a selection, only not at once.
+        An action that creates something is not repeated; an action that may be done `again`, such as a selection, only
+        not at once.
         """
         if command in (self.commands[-1:] if again else self.commands):
             return self
@@ -58,12 +59,12 @@ class KeptSession(Record):
 
     @classmethod
     def read(cls, root: Path) -> "KeptSession":
-        """Return what the session of a first result has kept; a new one where there is none.
+        """Return what the session of a first result has kept; a new one if there is none.
 
         Raises
         ------
         InputError
-            where the file cannot be read.
+            if the file cannot be read.
         """
         return read_record(_file(root), cls) if _file(root).is_file() else cls()
 

@@ -1,4 +1,4 @@
-"""What the runs determined, what they did not, and the run that would: tables of a fit, and sensor axes.
+"""Quantities that the runs determined or did not, and the run that would: tables of a fit, and sensor axes.
 
 Axes stand in body axes and in each mounting, as designed and as fitted, with their uncertainty cones.
 """
@@ -24,7 +24,7 @@ class SensorAxis(Record):
 
     Attributes
     ----------
-    nominal, fitted : as designed, and the mean of its posterior; both alike where nothing tilts it.
+    nominal, fitted : as designed, and the mean of its posterior; both alike if nothing tilts it.
     along, across : half axes of the 95 % cone as vectors; radians.
     tilt, cone : angle between the two axes, and the larger half axis; arcsec.
     """

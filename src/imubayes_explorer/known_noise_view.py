@@ -38,7 +38,7 @@ def view_of(fit: Fit, where: str) -> KnownNoiseView:
     Raises
     ------
     InputError
-        where the fit stands nowhere finite; `where` names its folder.
+        if the fit stands nowhere finite; `where` names its folder.
     """
     alone = responses_of_model(fit) if np.isfinite(fit.z).all() else None
     if alone is None or not np.isfinite(alone.misfit).all():

@@ -85,7 +85,7 @@ class LinearView(KnownNoiseView):
     def formula(self, channel: str, drawing: DrawnCurve | None = None) -> ResidualFormula | None:
         """Return the simplest formula for what the model leaves of a channel, or the one that is like a drawing.
 
-        None where no term is worth its odds; a drawing is its own term where no other is like it.
+        None if no term is worth its odds; a drawing is its own term if no other is like it.
         """
         names = [each.name for each in self.explained.of.problem.of_channels]
         if channel not in names:
@@ -166,7 +166,7 @@ class LinearView(KnownNoiseView):
         return linear if found is None else found.point
 
     def _bends(self, effect: str) -> bool:
-        """Tell whether a cause is of one sign, and so no line."""
+        """Return whether a cause is of one sign, and so no line."""
         of = self.explained.of
         return bool(of.problem.sign[list(of.variants[self.variants[effect]].places)].any())
 
@@ -177,7 +177,7 @@ class LinearView(KnownNoiseView):
     def ahead(
         self, changed: Model, estimates: Sequence[ScreenedEffect] = (), columns: np.ndarray | None = None
     ) -> Ahead | None:
-        """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
+        """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None if it must be."""
         return refitted(self._catalogue, self.point, changed, estimates, columns)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What the page asks and what the server answers, as typed records.
+"""Requests of the page and answers of the server, as typed records.
 
 A view of the points is asked for by a `PointsWanted`; a selection is a list of `Brush`es, each a rectangle on a panel,
 and means the same rows in every window and after a reload.
@@ -47,13 +47,13 @@ def shown_table(sheet: Sheet) -> ShownTable:
 
 
 class Brush(Record):
-    """A rectangle on a panel: rows with an abscissa and, where `y` names an ordinate, a residual between bounds.
+    """A rectangle on a panel: rows with an abscissa and, if `y` names an ordinate, a residual between bounds.
 
     Attributes
     ----------
     channels, runs : names; empty for all.
     rows : of these runs, counted from 1; empty for all.
-    x : column of the covariate; empty where any abscissa will do.
+    x : column of the covariate; empty if any abscissa will do.
     """
 
     channels: tuple[str, ...] = ()
@@ -87,11 +87,11 @@ class PreviewWanted(ModelWanted):
 
 
 class PointsWanted(PreviewWanted):
-    """Which points are drawn: one channel of some runs, or of all where there are none named.
+    """Which points are drawn: one channel of some runs, or of all if there are none named.
 
     Attributes
     ----------
-    x, y, colour : column of the abscissa, the residual, and what tells the points apart.
+    x, y, colour : column of the abscissa, the residual, and what distinguishes the points.
     between : part of the abscissa that is shown; None for all.
     brushes : the selection.
     most : points at most, beyond which the extremes of each place stand for all.
@@ -213,14 +213,14 @@ class CauseLine(RankedCause):
 
 
 class GroupLabels(Record):
-    """What tells runs apart, and the group of each run, in the order of the runs."""
+    """What distinguishes runs, and the group of each run, in the order of the runs."""
 
     by: Grouping
     labels: tuple[str, ...]
 
 
 class ModelEffect(Record):
-    """An effect of a model, and the channels that it acts on where its entry names them; empty for all."""
+    """An effect of a model, and the channels that it acts on if its entry names them; empty for all."""
 
     name: str
     channels: tuple[str, ...] = ()
@@ -234,7 +234,7 @@ class ModelFacts(Record):
     stage, identity : how far it is open, and of which result.
     sentence, evidence : the verdict, and the probability of each explanation, in words.
     command, named : the next command of the loop, and the effects that it adds.
-    separating : of each group the run that would tell its effects apart, in words.
+    separating : of each group the run that would distinguish its effects, in words.
     effects, set_aside : of the model, and the readings that it leaves out, in words.
     """
 
@@ -279,13 +279,13 @@ class OpenState(Record):
 
 
 class RowsRanking(Record):
-    """Causes of chosen rows, the likeliest first, and the probabilities of what else they may be.
+    """Causes of chosen rows, the most probable first, and the probabilities of what else they may be.
 
     Attributes
     ----------
     nothing : of noise alone; None before the explanations are weighed.
     form : of the form outside the catalogue, or the wrong record, of the leading explanation; None without one.
-    offset : of an offset of these rows alone; None where all rows are chosen, of which an offset is a bias.
+    offset : of an offset of these rows alone; None if all rows are chosen, of which an offset is a bias.
     """
 
     causes: tuple[RankedCause, ...]
@@ -295,7 +295,7 @@ class RowsRanking(Record):
 
 
 NOT_RANKED = RowsRanking(causes=(), nothing=None, form=None, offset=None)
-"""What is known of the causes of chosen rows before the explanations are weighed."""
+"""Knowledge of the causes of chosen rows before the explanations are weighed."""
 
 
 class SelectionFacts(RowsRanking):
@@ -334,7 +334,7 @@ class PreviewFacts(Record):
     cells : what is expected of each run and channel, in the order of the model's cells.
     moved : estimates that would move, those that would most first.
     effects, refitted : the causes, or the name of a change whose refit these are.
-    task : that was asked for; where nothing is refitted, its residuals come with the fit.
+    task : that was asked for; if nothing is refitted, its residuals come with the fit.
     sentence, command : the prediction in words, and the command that adds the causes.
     """
 

@@ -1,4 +1,4 @@
-"""A model that is open: its result, diagnosis and linear model in memory, and what the page is told of it."""
+"""An open model: its result, diagnosis and linear model in memory, and the state that the page receives."""
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -36,7 +36,7 @@ from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
 
 Stamp = frozenset[tuple[str, int, int, int]]
-"""Files, with what tells that one was replaced."""
+"""Files, with what shows that one was replaced."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class OpenModel:
         return found
 
     def replaced(self) -> bool:
-        """Tell whether its folder no longer holds the result that was opened."""
+        """Return whether its folder no longer holds the result that was opened."""
         try:
             same_fit(self.folder, self.result.identity)
         except (InputError, OSError):
@@ -103,7 +103,7 @@ class OpenModel:
         return shown(self.folder)
 
     def campaign_changed(self) -> bool:
-        """Tell whether a file of the campaign is another one than when the model was opened."""
+        """Return whether a file of the campaign is another one than when the model was opened."""
         return campaign_stamp(self.result) != self.stamp
 
     def facts(self) -> messages.ModelFacts:
@@ -185,17 +185,17 @@ class OpenModel:
         )  # fmt: skip
 
     def ahead_of_adding(self, effects: Sequence[str], channels: Sequence[str] | None) -> Ahead | None:
-        """Return the refit with effects at the noise known beforehand; None where it takes the whole fit."""
+        """Return the refit with effects at the noise known beforehand; None if it takes the whole fit."""
         fitted, told = self.view.fit.model, [self.diagnosis.estimate(each) for each in effects]
         spec = extended(fitted.spec, effects, channels, fitted.campaign, fitted.registry.without_files())
         return self.ahead_of(spec, [line for line in told if line is not None])
 
     def ahead_of(self, spec: ModelSpec, estimates: Sequence[ScreenedEffect] = ()) -> Ahead | None:
-        """Return the refit of an edited model at the noise known beforehand; None where it takes the whole fit."""
+        """Return the refit of an edited model at the noise known beforehand; None if it takes the whole fit."""
         fitted = self.view.fit.model
         known = fitted.campaign.set_aside
         if not set(known) <= set(spec.set_aside):
-            return None  # readings that are taken back are at hand where there is a model with them
+            return None  # readings that are taken back are at hand if there is a model with them
         spec = replace(spec, set_aside=tuple(each for each in spec.set_aside if each not in known) or known)
         return self.view.ahead(bind(spec, fitted.campaign, fitted.registry.without_files()), estimates)
 
@@ -207,7 +207,7 @@ class OpenModel:
         Parameters
         ----------
         out : folder of the command that adds them.
-        ahead, what, by : the change, its name, and the table of the readings that it is of; this model's where None.
+        ahead, what, by : the change, its name, and the table of the readings that it is of; this model's if None.
         """
         shown = self.with_causes(effects) if ahead is None else ahead
         predicted = shown.point if ahead is None else self.view.with_causes(effects)
@@ -222,7 +222,7 @@ class OpenModel:
         )  # fmt: skip
 
     def with_causes(self, effects: Sequence[str]) -> Ahead:
-        """Return the fit with causes beside, linear where they are."""
+        """Return the fit with causes beside, linear if they are."""
         return Ahead(self.view.with_causes(effects), ~self.view.entries)
 
     def _drop(self, point: KnownNoisePoint) -> float:
@@ -242,7 +242,7 @@ class OpenModel:
         )
 
     def channels_for(self, effects: Sequence[str]) -> tuple[str, ...] | None:
-        """Return the channels on which a single effect was found; None where the command needs none named."""
+        """Return the channels on which a single effect was found; None if the command needs none named."""
         return self.told.channels_for(effects[0]) if self.told is not None and len(effects) == 1 else None
 
 
@@ -252,7 +252,7 @@ def shown(folder: Path) -> str:
 
 
 def stamp_of(files: Iterable[Path]) -> Stamp:
-    """Return what tells that one of some files was replaced or is gone."""
+    """Return what shows that one of some files was replaced or is gone."""
     found = set[tuple[str, int, int, int]]()
     for file in files:
         with suppress(FileNotFoundError):  # removed meanwhile
@@ -273,7 +273,7 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
     Raises
     ------
     InputError
-        where its campaign is gone or has changed, or the fit stands nowhere finite.
+        if its campaign is gone or has changed, or the fit stands nowhere finite.
     """
     tell("reading the fit")
     fit, folder = result.fit, result.folder
@@ -284,7 +284,7 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
 
 
 def _kept(result: Result) -> Diagnosis | None:
-    """Return the diagnosis that the folder of a result holds of it; None where there is none, or it is not whole."""
+    """Return the diagnosis that the folder of a result holds of it; None if there is none, or it is not whole."""
     assert result.folder is not None
     try:
         same_fit(result.folder, result.identity)
@@ -294,12 +294,12 @@ def _kept(result: Result) -> Diagnosis | None:
 
 
 def weighed(model: OpenModel, tell: Tell, heard: Heard) -> ExplainedFit:
-    """Return the fit of an open model with its explanations weighed; `heard` is told of them meanwhile.
+    """Return the fit of an open model with its explanations weighed; `heard` receives them meanwhile.
 
     Raises
     ------
     InputError
-        where there is no fit to diagnose.
+        if there is no fit to diagnose.
     """
     explained = explained_fit(model.result.fit, str(model.folder), tell, heard)
     if explained is None:
@@ -310,7 +310,7 @@ def weighed(model: OpenModel, tell: Tell, heard: Heard) -> ExplainedFit:
 def told(model: OpenModel, explained: ExplainedFit) -> OpenModel:
     """Return an open model with what the diagnosis says.
 
-    It is kept in its folder where it can be, as `imubayes diagnose` does; one that the folder holds stands.
+    It is kept in its folder if it can be, as `imubayes diagnose` does; one that the folder holds stands.
     """
     if model.told is not None:
         return model

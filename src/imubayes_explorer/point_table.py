@@ -1,7 +1,8 @@
 """The readings of a fit as columns for the panels, and what of them a screen can show, as binary numbers.
 
-What is too much for a screen is never sent: of each place on the abscissa the lowest and the highest point stand for
-all, selected points and others apart.  Numbers are sent as Float32 behind a header; sums are made before, in float64.
+Points beyond the resolution of a screen are never sent: of each place on the abscissa the lowest and the highest point
+stand for all, selected points and others apart.  Numbers are sent as Float32 behind a header; sums are made before, in
+float64.
 """
 
 import math
@@ -95,13 +96,13 @@ class PointTable:
         return self.columns[name]
 
     def ordinate(self, name: Ordinate, point: KnownNoisePoint | None = None) -> np.ndarray:
-        """Return a residual, (E,): over a noise, or in input units; with causes previewed where a point is given."""
+        """Return a residual, (E,): over a noise, or in input units; with causes previewed if a point is given."""
         point = point or self.view.point
         if name == "known":
             return self.view.whitened(point)
         if name == "input":
             return point.misfit * self.to_input
-        # A preview leaves the noise as fitted where it is: what causes take off is divided by it.
+        # A preview leaves the noise as fitted if it is: what causes take off is divided by it.
         whole = self.view.point.misfit - point.misfit
         sd = numbers(self.table, "input_sd")
         return numbers(self.table, "whitened") - whole * self.to_input / np.where(sd > 0, sd, np.inf)
@@ -187,12 +188,12 @@ class PointTable:
     # ---- colours ----
 
     def groupings(self) -> tuple[Grouping, ...]:
-        """Return what tells readings apart: run, and what runs differ in."""
+        """Return what distinguishes readings: run, and what runs differ in."""
         every: tuple[Grouping, ...] = ("mounting", "temperature", "table")
         return ("run", *(each for each in every if len(self.groups(each)[0]) > 1))
 
     def labels(self) -> tuple[GroupLabels, ...]:
-        """Return the group of each run by everything that tells runs apart."""
+        """Return the group of each run by everything that distinguishes runs."""
         return tuple(
             GroupLabels(by=by, labels=tuple(self.label(run, by) for run in self.run_names)) for by in self.groupings()
         )

@@ -2,9 +2,9 @@
 
 Residuals at the noise known beforehand depend on the parameters alone, and the program by which the diagnosis predicted
 every candidate predicts any choice of them: effects added or removed, with any priors, by any of the readings.  A few
-Gauss–Newton steps with it lead to the least squares of the changed model within a second, where its own programs take a
+Gauss–Newton steps with it lead to the least squares of the changed model within a second, if its own programs take a
 minute to compile.  A noise component that is removed, or has another prior, changes what residuals are over, and the
-prediction not at all.  What no program predicts yet, a formula of the covariates, responds linearly.  Scales of the
+prediction not at all.  A formula of the covariates, which no program predicts yet, responds linearly.  Scales of the
 noise as fitted, uncertainties and the verdict are those of the fit, which follows.
 """
 
@@ -70,7 +70,7 @@ def refitted(
 
     Returns
     -------
-    fit : None where the program cannot predict the model, and where no minimum was reached.
+    fit : None if the program cannot predict the model, and if no minimum was reached.
     """
     free, left_out = model.parameters_of(changed), _readings_gone(point.model, changed)
     noise = None if left_out is None else _noise(model.fitted, point, changed, left_out)
@@ -100,7 +100,7 @@ def refitted(
 
 
 def _readings_gone(model: Model, changed: Model) -> np.ndarray | None:
-    """Return which entries of a model, (E,) bool, a changed one lacks; None where it has others."""
+    """Return which entries of a model, (E,) bool, a changed one lacks; None if it has others."""
     if changed.campaign.set_aside == model.campaign.set_aside:
         return np.zeros(len(model.entries), dtype=bool)
     places = {run.name: place for place, run in enumerate(model.campaign.runs)}
@@ -116,7 +116,7 @@ def _noise(
 ) -> tuple[Problem, np.ndarray] | None:
     """Return the problem with the readings and the noise of a changed model, and the scales known of that, in z.
 
-    None of a noise scale that is new, and of another noise where parameters or readings are others as well.
+    None of a noise scale that is new, and of another noise if parameters or readings are others as well.
     """
     own = {each.name: each for each in fitted.model.hyper_layout.parameters}
     wanted = {each.name: each for each in changed.hyper_layout.parameters}
@@ -132,7 +132,7 @@ def _noise(
 
 
 def _alike(model: Model, own: Mapping[str, Parameter], wanted: Mapping[str, Parameter]) -> bool:
-    """Tell whether noise scales are those of a model, but for those of effects that are lacking."""
+    """Return whether noise scales are those of a model, but for those of effects that are lacking."""
     lost = {each.effect for name, each in own.items() if name not in wanted}
     same = all(eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items())
     return same and all(issubclass(model.registry.effects[name], Effect) for name in lost)
@@ -190,7 +190,7 @@ class _RefitAt:
     Attributes
     ----------
     square, size : sum of squares, and the length of the step in standard deviations of the readings.
-    misfit, right : shapes (E,) and (E + P + F′ + C,), plain and whitened, priors last: those of the model before, where
+    misfit, right : shapes (E,) and (E + P + F′ + C,), plain and whitened, priors last: those of the model before, if
         what was removed is 0, and those of what is added.
     """
 

@@ -1,4 +1,4 @@
-"""What is said of selected readings, of previewed causes and of a first fit, in a sentence."""
+"""Sentences on selected readings, previewed causes and a first fit."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def selection_text(
     ----------
     n, chi2, p : of the readings, at the noise known beforehand; the probability of such a χ² by chance.
     rms : of the residual, and its unit; None of readings of several units.
-    best : the likeliest cause with its probability; None where there is none.
+    best : the most probable cause with its probability; None if there is none.
     nothing, offset : probability of noise alone, and of an offset of these readings alone; None before they are known.
     """
     if not n:

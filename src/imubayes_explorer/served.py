@@ -38,7 +38,7 @@ class Served:
         token = new_token()
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"
         served = application(token, bound.getsockname()[1])
-        # Given by a factory, which uvicorn need not tell from an application.
+        # Given by a factory, which uvicorn need not distinguish from an application.
         settings = uvicorn.Config(
             lambda: served, factory=True, interface="asgi3", ws="none", lifespan="off", proxy_headers=False,
             server_header=False, log_level="warning", access_log=False, timeout_graceful_shutdown=1,

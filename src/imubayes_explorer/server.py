@@ -1,7 +1,7 @@
-"""The server of the page: what a window may ask, and the state that it is told of as it changes.
+"""The server of the page: what a window may ask, and the state that it receives as it changes.
 
-Linear algebra is answered at once, by threads; what fits or diagnoses is queued for the session's worker, and told by
-server-sent events.  Faults of a request are answered in the four parts of an input error.
+Linear algebra is answered at once, by threads; what fits or diagnoses is queued for the session's worker, and reported
+by server-sent events.  Faults of a request are answered in the four parts of an input error.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
 """A session: the tree of models that grows from one result, those that are open, and the changes that are asked for.
 
 All that is done to results goes through the functions behind the commands; the session keeps which command does the
-same.  What windows are told is one record, which counts its changes.
+same.  Windows receive one record, which counts its changes.
 """
 
 import threading
@@ -77,10 +77,10 @@ class Session:
             self.worker.cancel(each.number)
         self.changed()
 
-    # ---- what windows are told ----
+    # ---- what windows receive ----
 
     def changed(self) -> None:
-        """Count a change, and tell every window."""
+        """Count a change, and notify every window."""
         with self._lock:
             self._version += 1
             listeners = list(self._listeners)
@@ -102,7 +102,7 @@ class Session:
         )  # fmt: skip
 
     def _open_state(self, model: OpenModel) -> OpenState:
-        """Return how far a model is open; its folder is looked into where its manifest has changed."""
+        """Return how far a model is open; its folder is looked into if its manifest has changed."""
         now, (marks, replaced) = stamp_of([model.folder / MANIFEST]), self._looked.get(model.id, (None, False))
         if now != marks:
             replaced = model.replaced()
@@ -115,7 +115,7 @@ class Session:
     def tree(self) -> Tree | None:
         """Return the tree of models; None before there is a first one.
 
-        It is read again where a manifest beside one of its models has changed.
+        It is read again if a manifest beside one of its models has changed.
         """
         kept, marks = self._read
         now = marks_of(self.root, kept)
@@ -128,7 +128,7 @@ class Session:
     # ---- models ----
 
     def place_of(self, model: str) -> Path:
-        """Return the folder of a model of the tree; raises InputError where it has none of this id."""
+        """Return the folder of a model of the tree; raises InputError if it has none of this id."""
         tree = self.tree()
         for place in tree.nodes if tree is not None else ():
             if id_of(place) == model:
@@ -231,7 +231,7 @@ class Session:
         return facts.model_copy(update={"task": wanted.task})
 
     def calibration(self, wanted: ModelWanted) -> CalibrationFacts:
-        """Return the estimates of a model, beside those of the one that it was made from where that is at hand."""
+        """Return the estimates of a model, beside those of the one that it was made from if that is at hand."""
         return self.calibration_of(self.require(wanted.model))
 
     def calibration_of(self, found: OpenModel) -> CalibrationFacts:
@@ -267,7 +267,7 @@ class Session:
         return self._table_of(found, ahead).frame(wanted, ahead, refitted=ahead is not None)
 
     def _table_of(self, model: OpenModel, ahead: Ahead | None) -> PointTable:
-        """Return the table with the readings of a change: those of another model where some are taken back."""
+        """Return the table with the readings of a change: those of another model if some are taken back."""
         others = (each.table for each in self.open_models if ahead and each.readings.fit.model is ahead.point.model)
         return next(others, model.table)
 
@@ -286,7 +286,7 @@ class Session:
         self._keep(lambda kept: kept.with_command(command, again=again))
 
     def _keep(self, changed: Callable[[KeptSession], KeptSession]) -> None:
-        """Keep a change; it stays with the session where there is no right to write, or no room."""
+        """Keep a change; it stays with the session if there is no right to write, or no room."""
         with self._lock, kept_if_possible(self.root.parent):
             self._kept = changed(self._kept)
             self._kept.write(self.root)
@@ -298,7 +298,7 @@ class Session:
         Raises
         ------
         InputError
-            where a change is at work already, the campaign is no longer what was fitted, or nothing is named.
+            if a change is at work already, the campaign is no longer what was fitted, or nothing is named.
         """
         model = self.require(wanted.model)
         self._refuse_changed_campaign(model)
@@ -365,7 +365,7 @@ class Session:
         Raises
         ------
         InputError
-            where it needs effect files, which a single file cannot hold.
+            if it needs effect files, which a single file cannot hold.
         """
         with TemporaryDirectory() as scratch:
             file = Path(scratch) / MODEL

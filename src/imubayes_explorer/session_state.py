@@ -1,4 +1,4 @@
-"""What every window of a session is told: the tree of models, those that are open, the tasks, and what was kept."""
+"""State of a session that every window receives: the tree of models, open models, tasks, and kept items."""
 
 import hashlib
 from collections.abc import Iterator, Mapping

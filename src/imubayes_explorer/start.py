@@ -28,7 +28,7 @@ if TYPE_CHECKING or not _MISSING:
 _STEP = 120.0
 """Seconds that a step of the work may take, such as a program that compiles."""
 SHIPPED = "hidden-gyro"
-"""The example that is explored where nothing is named: an effect is hidden in it."""
+"""The example that is explored if nothing is named: an effect is hidden in it."""
 
 
 class Exploration:
@@ -149,7 +149,7 @@ def explore_units(
 
 
 def _of_unit(unit: UnitToExplore) -> Exploration:
-    """Return the loop of a unit, its first model fitted where that is not done."""
+    """Return the loop of a unit, its first model fitted if that is not done."""
     campaign = unit.campaign()
     if isinstance(campaign, Path):
         return Exploration(_of_folder(campaign, unit.model, unit.out)).start()
@@ -172,7 +172,7 @@ def _of_folder(place: Path, model: str | Path | None, out: str | Path | None) ->
         if model is None:
             raise input_error("a campaign needs a model", str(place), "--model FILE",
                               "name the model, or a result folder in place of the campaign")  # fmt: skip
-        read_model(model)  # what is wrong with it is told before a page is opened
+        read_model(model)  # what is wrong with it is reported before a page is opened
         root = Path(out) if out is not None else Path("results") / f"{place.resolve().name}-{Path(model).stem}"
         if not (root / MANIFEST).is_file():
             session = Session(root)

@@ -32,7 +32,7 @@ class TaskProgress(Record):
     ----------
     what : of it, in words; `step` is what goes on.
     of, made : model that it starts from, and that it has made or opened; empty for none.
-    adding : effects that a change adds, whose linear prediction is shown where there is no refit ahead.
+    adding : effects that a change adds, whose linear prediction is shown if there is no refit ahead.
     seconds : since it began.
     issues : why it failed, as text in four parts.
     lines : what a change brought, in words.
@@ -115,7 +115,7 @@ class Worker:
         return not self._thread.is_alive()
 
     def say(self, lines: tuple[str, ...], made: str = "") -> None:
-        """Tell what the task at work has brought so far: it is there, even where the task is being cancelled."""
+        """Report what the task at work has brought so far: it is there, even if the task is being cancelled."""
         for each in self.tasks:
             if each.step:
                 self._update(each.number, ("running", "cancelling"), lines=lines, made=made)
@@ -152,7 +152,7 @@ class Worker:
             return {"state": "cancelled"}
         except InputError as error:
             return {"state": "failed", "issues": tuple(map(str, error.issues))}
-        except Exception as error:  # the page tells it, and goes on
+        except Exception as error:  # the page reports it, and goes on
             said = f"internal error: {type(error).__name__}: {error}"
             issue = Issue(said, "inside imubayes", "", "run the command that the page shows, and report its output")
             return {"state": "failed", "issues": (str(issue),)}

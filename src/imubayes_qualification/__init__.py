@@ -1,4 +1,4 @@
-"""What is done with a fitted unit: certificate, conformity, budgets, constants on board, and the effect on navigation.
+"""Uses of a fitted unit: certificate, conformity, budgets, constants on board, and the effect on navigation.
 
 `evaluation` has the law of propagation, coverage and decision rules; `budgets` the uncertainty budgets of a unit;
 `certificate` the record of a report; `onboard` the constants of a unit and recordings corrected with them.  It

@@ -42,7 +42,7 @@ def campaigns() -> list[UnitPosterior]:
 
 @pytest.fixture
 def results(tmp_path, monkeypatch) -> None:
-    """Write the results of a batch where the guide has them."""
+    """Write the results of a batch if the guide has them."""
     monkeypatch.chdir(tmp_path)
     folder = part_folder("results/batch", MODEL, "1")
     folder.mkdir(parents=True)

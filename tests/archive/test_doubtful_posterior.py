@@ -16,7 +16,7 @@ from imubayes_archive.unit_fits.run_batch import ChunkTask
 
 
 def of_standard_normal_draws(mean: float, width: float, seed: int, size: int = 20) -> WeightShape:
-    """Return what the weights say where the posterior is standard normal but in its first component."""
+    """Return what the weights say if the posterior is standard normal but in its first component."""
     points = np.random.default_rng(seed).normal(size=(1000, size))
     log_weight = norm.logpdf(points[:, 0], mean, width) - norm.logpdf(points[:, 0])
     weight = np.exp(log_weight)

@@ -1,4 +1,4 @@
-"""The population of a noise scale: bounded by many units that do not determine it, and found where they do."""
+"""The population of a noise scale: bounded by many units that do not determine it, and found if they do."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The population of a parameter: recovered, honest about its uncertainty, and refused where draws are too few."""
+"""The population of a parameter: recovered, honest about its uncertainty, and refused if draws are too few."""
 
 import dataclasses
 

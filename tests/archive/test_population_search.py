@@ -1,4 +1,4 @@
-"""Groups, steps, trends and covariates of a population: found with their units, told apart, and not invented."""
+"""Groups, steps, trends and covariates of a population: found with their units, distinguished, and not invented."""
 
 import numpy as np
 import pytest

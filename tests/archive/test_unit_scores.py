@@ -1,4 +1,4 @@
-"""Scores of units from their linearised fits: priors tell nothing, noise is that of the unit, and they add up."""
+"""Scores of units from their linearised fits: priors show nothing, noise is that of the unit, and they add up."""
 
 from dataclasses import replace
 

@@ -252,7 +252,7 @@ def seat_turned(files: Files, draw: np.random.Generator) -> Planted | None:
     turn = about(int(draw.integers(3)), float(draw.choice([np.pi / 2, -np.pi / 2, np.pi])))
     angled = any(run["mounting"] == mounting["name"] for run in files.of(*ANGLED))
     if not angled and turn[2, 2] > 0.5:
-        return None  # about the axis of the table, of which means over whole turns tell nothing
+        return None  # about the axis of the table, of which means over whole turns show nothing
     mounting["body_to_table"] = np.round(turn @ np.array(mounting["body_to_table"], dtype=float), 6).tolist()
     files.save()
     runs = [run for run in files.runs if run["mounting"] == mounting["name"]]
@@ -319,9 +319,9 @@ OWN = (
 SHARED = (
     "rate_unit", "axes_exchanged", "sense_reversed", "mislabelled", "files_exchanged", "axis_reversed", "zero_of_run",
 )  # fmt: skip
-"""What a single run or the set-up tells."""
+"""What a single run or the set-up shows."""
 AGREEMENT = (rate_off, thermometer_off, one_typed, rows_swapped)
-"""What shows in a run that does not agree with the others."""
+"""Mistakes that show in a run that does not agree with the others."""
 KINDS: dict[str, Callable[[Files, np.random.Generator], Planted | None]] = {
     **{each.__name__: each for each in OWN}, **{name: MISTAKES[name] for name in SHARED},
     **{each.__name__: each for each in AGREEMENT},

@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""What the outputs of a drawn campaign say of its set-up, by two laws.
+"""Information of the outputs of a drawn campaign on its set-up, by two laws.
 
 χ² of the outputs under a linear Gaussian law: the nominal input of every row, worked out here from the files, and all
 errors with standard deviations.  A mistake that raises it by less than `DETECTABLE` changes the expected outputs by
@@ -37,7 +37,7 @@ class Law:
     gyro, accelerometer : scale factor, two misalignments, bias, its slope and curvature with the temperature, the same
         of the scale factor, three terms of g, six quadratic in g, slopes of bias and scale factor with the temperature
         of the converter, three lever arms.
-    offsets : of single runs, kind → SI; None where they are those that were drawn.
+    offsets : of single runs, kind → SI; None if they are those that were drawn.
     rows : of single rows, kind → SI; of single rows of polar tumbles in the law without terms quadratic in g.
     share : of the input.
     """
@@ -70,7 +70,7 @@ STATED = Law(
     offsets={"gyro": 10 * DEG_H, "accelerometer": 500 * UG},
     rows={"gyro": 0.3 * DEG_H, "accelerometer": 20 * UG}, share=3e-4,
 )  # fmt: skip
-_TUMBLE_ROWS = 0.3 * DEG_H  # terms quadratic in g, where a law has none
+_TUMBLE_ROWS = 0.3 * DEG_H  # terms quadratic in g, if a law has none
 
 
 @dataclass

@@ -10,7 +10,7 @@ from campaign_files import Files
 
 Cells = dict[str, list[str]]
 Planter = Callable[[Files, np.random.Generator], tuple[str, ...] | None]
-"""Plants a mistake, and returns what a message has to contain; None where the campaign cannot have it."""
+"""Plants a mistake, and returns what a message has to contain; None if the campaign cannot have it."""
 
 
 def changed(files: Files, run: dict, column: str, change: Callable[[np.ndarray], np.ndarray]) -> None:

@@ -22,7 +22,7 @@ class Angle:
     ----------
     stated : pattern of the statement, with the value as its group.
     value : that was planted.
-    within : tolerance where the outputs tell the angle well, and the widest where they do not.
+    within : tolerance if the outputs determine the angle well, and the widest if they do not.
     """
 
     stated: str
@@ -30,7 +30,7 @@ class Angle:
     within: tuple[float, float]
 
     def said(self, text: str, uncertainty: float) -> bool:
-        """Whether a message states the angle to within its tolerance or three times what the outputs tell it to."""
+        """Whether a message states the angle within its tolerance or three times its uncertainty by the outputs."""
         least, most = self.within
         tolerance = max(least, min(3 * uncertainty, most))
         found = [float(each) for each in re.findall(self.stated, text)]
@@ -45,7 +45,7 @@ class Planted:
     ----------
     kind : of the mistake.
     named : what the message has to contain; alternatives in a tuple.
-    more : plants the same mistake with another angle, deg; None where it has none.
+    more : plants the same mistake with another angle, deg; None if it has none.
     """
 
     kind: str
@@ -54,7 +54,7 @@ class Planted:
 
 
 CLOSE, LOOSE = (1.0, 5.0), (10.0, 30.0)
-"""Tolerances of angles that gravity tells, and of those that the Earth rate tells."""
+"""Tolerances of angles that gravity determines, and of those that the Earth rate determines."""
 
 
 Mistake = Callable[[Files, np.random.Generator], Planted | None]
@@ -466,7 +466,7 @@ MISTAKES: dict[str, Mistake] = {
 
 
 def plant(folder: Path, name: str, seed: int) -> Planted | None:
-    """Plant a mistake into the files of a campaign; None where it cannot be made there."""
+    """Plant a mistake into the files of a campaign; None if it cannot be made there."""
     return MISTAKES[name](Files(folder), np.random.default_rng([seed, 2]))
 
 

@@ -1,4 +1,4 @@
-"""What holds clipped samples is left out and reported; what only repeats a code of a coarse converter is kept."""
+"""Rows with clipped samples are left out and reported; rows that only repeat a code of a coarse converter are kept."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_means_with_clipped_samples_are_left_out(small: Path) -> None:
 
 @pytest.mark.parametrize("limit", [50_000.0, 100_000.0])
 def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> None:
-    """At several inputs, or at one input in each direction, where the samples do not scatter."""
+    """At several inputs, or at one input in each direction, if the samples do not scatter."""
     whole = load_campaign(small).runs[0]
     gx = 0
     beyond = np.abs(whole.observed[:, gx]) > limit
@@ -112,7 +112,7 @@ def test_turns_in_which_a_gyro_is_clipped_are_left_out() -> None:
     columns = clipped_tumble(limit)
     reduced = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv", limits_of(columns, limit))
     kept = np.abs(whole.readings[:, :, 3:]).max(axis=(1, 2)) < limit
-    # A sample may be clipped where the mean of its step is not.
+    # A sample may be clipped if the mean of its step is not.
     assert set(reduced.tumble.start) <= set(whole.start[kept])
     assert len(reduced.tumble.start) >= kept.sum() - 2
     assert len(reduced.tumble.step) == len(reduced.tumble.readings) == len(reduced.tumble.start)

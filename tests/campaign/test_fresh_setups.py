@@ -200,7 +200,7 @@ def test_the_unit_of_angles_is_named_whatever_the_zero_of_the_table(
 @pytest.mark.parametrize("zero", ZEROS)
 @pytest.mark.parametrize("with_zero", [False, True])
 def test_a_scale_that_counts_backwards_is_named_whatever_its_zero(tmp_path: Path, zero: float, with_zero: bool):
-    """Also where its zero was read on the scale as it is: both signs are to be reversed then."""
+    """Also if its zero was read on the scale as it is: both signs are to be reversed then."""
     files = _with_zero(tmp_path / "triad", zero)
     for run in files.runs:
         files.edit(run, lambda columns: columns.update(

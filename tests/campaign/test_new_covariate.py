@@ -38,7 +38,7 @@ def test_a_new_covariate_is_read_shown_and_regressed_on(moist):
     assert "humidity" in PROCEDURES[run.procedure].stimulus(run, moist).supplies
 
     spec = ModelSpec("small", tuple(EffectSpec(name) for name in ("gyro_bias", "accel_bias", "white_noise")))
-    # What is told of the readings needs no fit: a prediction of one pulse/s, at the middle of the priors.
+    # What is reported of the readings needs no fit: a prediction of one pulse/s, at the middle of the priors.
     model = bind(spec, moist)
     fit = Fit(model, *map(np.zeros, model.problem.size), True)
     np.testing.assert_array_equal(np.unique(np.asarray(fit.model.problem.nodes.ambient.humidity))[[0, -1]], [0, 0.6])

@@ -1,4 +1,4 @@
-"""A wrong nominal scale is told beside what imitates it, and alone where the outputs tell the two.
+"""A wrong nominal scale is reported beside what imitates it, and alone if the outputs determine the two.
 
 The outputs are those of a unit whose physics is written here: gravity and the rotation of a table, no more.
 """
@@ -90,7 +90,7 @@ def _campaign(
 
 
 def told(campaign: Campaign) -> dict[str, float]:
-    """Return the explanations that are told as rivals: kind of mistake → size."""
+    """Return the explanations that are reported as rivals: kind of mistake → size."""
     mistakes = judge_setup(campaign).mistakes
     assert len(mistakes) < 2
     return {each.mistake.kind: each.size for each in mistakes[0]} if mistakes else {}

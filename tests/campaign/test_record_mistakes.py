@@ -1,4 +1,4 @@
-"""What was recorded wrongly in a run, a row or two runs is named with its value; no name is forced on another value."""
+"""A wrong record of a run, a row or two runs is named with its value; no name is forced on another value."""
 
 from pathlib import Path
 

@@ -34,7 +34,7 @@ SUBTLE = (
     "latitude", "latitude_value", "height", "fahrenheit", "fahrenheit_throughout", "thermometers",
     "temperature_reversed",
 )  # fmt: skip
-"""Mistakes that few campaigns show; the study counts them like all others where they can be detected."""
+"""Mistakes that few campaigns show; the study counts them like all others if they can be detected."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def said(folder: Path) -> str:
 
 
 def planted_into(valid: Path, folder: Path, name: str, seed: int) -> Planted | None:
-    """Plant a mistake into a copy of a campaign; None where it has no such runs, or nobody could detect it."""
+    """Plant a mistake into a copy of a campaign; None if it has no such runs, or nobody could detect it."""
     shutil.copytree(valid, folder)
     planted = plant(folder, name, seed)
     return planted if planted is not None and _detectable(valid, folder) else None
@@ -144,7 +144,7 @@ def test_an_accepted_finding_is_a_warning(valid: dict[int, Path], tmp_path: Path
 
 
 def test_the_noise_of_each_channel_is_what_its_outputs_show(valid: dict[int, Path]) -> None:
-    """Where rows repeat a position the noise that the outputs were drawn with is found, not the stated one."""
+    """If rows repeat a position the noise that the outputs were drawn with is found, not the stated one."""
     (folder,) = (valid[seed] for seed in SEEDS if KINDS[seed % len(KINDS)] == "cycle")
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["parameters"]
     drawn = folder / "drawn_noise.toml"

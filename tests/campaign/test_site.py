@@ -1,4 +1,4 @@
-"""The site of a campaign in SI: gravity as measured or by WGS 84, and its uncertainty only where it is stated."""
+"""The site of a campaign in SI: gravity as measured or by WGS 84, and its uncertainty only if it is stated."""
 
 import pytest
 

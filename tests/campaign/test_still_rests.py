@@ -1,4 +1,4 @@
-"""No rest that was still is excluded; one that was not is, where there are degrees of freedom to tell."""
+"""No rest that was still is excluded; one that was not is, if there are degrees of freedom for it."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is shipped: examples that can be listed, copied and demonstrated, and models that are known by their names."""
+"""Shipped files: examples that can be listed, copied and demonstrated, and models that are known by their names."""
 
 import shutil
 from pathlib import Path

@@ -36,7 +36,7 @@ def said(capsys, *words: str | Path) -> tuple[int, str, str]:
 
 
 def state_of(folder: Path) -> dict[str, tuple[int, bytes]]:
-    """Return time and content of everything in a folder; its own time tells of files that came and went."""
+    """Return time and content of everything in a folder; its own time indicates files that came and went."""
     files = (folder, *folder.rglob("*"))
     return {str(file): (file.stat().st_mtime_ns, file.read_bytes() if file.is_file() else b"") for file in files}
 

@@ -1,4 +1,4 @@
-"""What is the user's stays: folders that are no result, samplings that were interrupted, files of other commands."""
+"""Files of the user are kept: folders that are no result, interrupted samplings, files of other commands."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""What happens on every machine, a full disk or a plain terminal, is no internal error."""
+"""A full disk or a plain terminal is no internal error."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""What a command hands over at its end, and an error to another process, is whole."""
+"""The output of a command at its end, and an error passed to another process, is whole."""
 
 import pickle
 import subprocess

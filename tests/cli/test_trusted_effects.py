@@ -1,4 +1,4 @@
-"""Effect files are code: what comes along with a result or a plan runs only where the user trusts it, as it is."""
+"""Effect files are code: what comes along with a result or a plan runs only if the user trusts it, as it is."""
 
 import json
 import shutil

@@ -69,7 +69,7 @@ def ambient(seed: int, **fixed: float) -> Ambient:
 
 
 def states(member: type, seed: int, still: bool = False, **fixed: float) -> tuple:
-    """Return the arguments of `apply` at a random instant; without any rotation or signal where `still`."""
+    """Return the arguments of `apply` at a random instant; without any rotation or signal if `still`."""
     rng = np.random.default_rng(seed)
 
     def vector(size: float) -> jax.Array:
@@ -232,9 +232,9 @@ def gradients_are_finite(member: type) -> None:
 
 
 def silent_without_its_covariate(member: type) -> None:
-    """Where what it needs is absent, or at the reference, the effect changes nothing, whatever its values.
+    """If what it needs is absent, or at the reference, the effect changes nothing, whatever its values.
 
-    What is in error by itself is so at any value: `test_registry` shows that nothing gets into runs without it.
+    A quantity that is itself in error is so at any value: `test_registry` shows that nothing gets into runs without it.
     """
     if issubclass(member, AmbientEffect):
         return
@@ -252,7 +252,7 @@ def silent_without_its_covariate(member: type) -> None:
 def changes_something(member: type) -> None:
     """Away from null every parameter matters: an effect that cannot be seen is none.
 
-    A shape means something where the coefficients are not null: there it has to matter.
+    A shape means something if the coefficients are not null: there it has to matter.
     """
     declared = declared_parameters(member)
     spreads = {parameter.spread for parameter in declared.values()}

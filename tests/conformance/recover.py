@@ -115,7 +115,7 @@ def read_campaign() -> Campaign:
 
 
 def _missing(name: str) -> bool:
-    """Tell whether no run of the small campaign shows a registered member."""
+    """Return whether no run of the small campaign shows a registered member."""
     return any(each.effect_class.name == name and each.missing for each in _shown_by_small())
 
 

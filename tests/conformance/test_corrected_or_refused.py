@@ -1,4 +1,4 @@
-"""What a correction needs and a recording lacks is refused by name, or left in and named: over the registry.
+"""A covariate that a correction needs and a recording lacks is refused by name, or its effect is left in and named.
 
 Each effect of the unit is alone in a model.  A recording lacks one covariate that the effect depends on.  Either the
 effect is corrected by that covariate, and the recording is refused, or the correction never takes it out, and its whole
@@ -49,7 +49,7 @@ def alone(effect: BoundEffect) -> Result:
 
 
 def lacking_is_noticed(effect: BoundEffect, covariate: str) -> bool:
-    """Tell whether a recording without a covariate is refused, or the effect is left in as one that it cannot tell."""
+    """Return whether a recording without a covariate is refused, or the effect is left in as undetermined."""
     asked = needed_temperatures(alone(effect), whole_catalogue().campaign.channels)
     if covariate in asked:
         issue = not_given(covariate, "recording.csv")
@@ -70,7 +70,7 @@ def test_a_covariate_that_is_missing_is_refused_or_left_in(name):
     effect = of_the_unit()[name]
     for covariate in effect.effect_class.needs:
         assert lacking_is_noticed(effect, covariate), covariate
-    # What is corrected row by row depends on nothing that no row tells.
+    # What is corrected row by row depends on nothing that no row determines.
     if acts_linearly(effect):
         assert set(effect.effect_class.needs) <= set(TEMPERATURES)
 

@@ -244,7 +244,7 @@ class HeavyDrag(GyroDrag):
 
 
 class RoughDrag(GyroDrag):
-    """signal + c·(T_τ − T), with a gain that has no derivative where no time passes."""
+    """signal + c·(T_τ − T), with a gain that has no derivative if no time passes."""
 
     name = "rough_drag"
 
@@ -262,7 +262,7 @@ class AgelessDrag(GyroDrag):
 
 
 class Squared(Base):
-    """signal + b²·10⁹, which has no derivative where b is 0."""
+    """signal + b²·10⁹, which has no derivative if b is 0."""
 
     name = "squared"
     bias: Scalar = offset()
@@ -272,7 +272,7 @@ class Squared(Base):
 
 
 class Steep(Base):
-    """signal + √|b|, whose derivative is infinite where b is 0."""
+    """signal + √|b|, whose derivative is infinite if b is 0."""
 
     name = "steep"
     bias: Scalar = offset(prior="halfnormal(1 deg/h)")
@@ -289,7 +289,7 @@ class NegativeShape(GyroDrag):
 
 
 class FarShape(GyroDrag):
-    """signal + c·(T_τ − T), tried where no prior expects it."""
+    """signal + c·(T_τ − T), tried if no prior expects it."""
 
     name = "far_shape"
     tau: Scalar = parameter("min", "lognormal(10 min, 0.1)", (1, 60), "the time", null=600.0, shape=(3.0, 10.0, 900.0))

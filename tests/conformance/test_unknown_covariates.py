@@ -1,7 +1,7 @@
-"""What an effect needs and a run lacks is refused by name, or provably of no account in that run: over the registry.
+"""A covariate that an effect needs and a run lacks is refused by name, or provably irrelevant: over the registry.
 
 The effects are bound, not fitted.  A run lacks a covariate that has some value there, recorded or not: a temperature, a
-time.  One that is absent where nobody records it, such as an injected current, is none of these.
+time.  One that is absent if nobody records it, such as an injected current, is none of these.
 """
 
 from dataclasses import replace
@@ -32,13 +32,13 @@ DEPENDENT = [
     for name, each in EFFECTS.items()
     if any(not COVARIATES[n].absent for n in each.needs if n in COVARIATES) and not issubclass(each, AmbientEffect)
 ]
-"""Effects of a covariate that every run has; an error of the covariate itself is none where it is not recorded."""
+"""Effects of a covariate that every run has; an error of the covariate itself is none if it is not recorded."""
 RECORDED = {
     "temperature_rate": "temperature",
     "converter_temperature_rate": "converter_temperature",
     "campaign_time": "time",
 }
-"""What is recorded of a derived covariate."""
+"""Columns from which a covariate is derived."""
 
 
 @cache
@@ -95,7 +95,7 @@ def test_an_effect_reads_no_covariate_that_it_does_not_declare(name):
             found = [apply(*state) for _, state in (plain, moved)]
         if issubclass(member, AmbientEffect):
             # It hands on all circumstances, and has to change its own alike.  A gain multiplies the rate of change of
-            # its own as well, which 0 stands for where there is none.
+            # its own as well, which 0 stands for if there is none.
             rate = f"{member.covariate}_rate"
             if issubclass(member, SharedThermometer):
                 found = [
@@ -128,7 +128,7 @@ def test_a_reader_of_what_it_does_not_declare_is_found():
 
 
 def test_a_run_that_the_effect_does_not_change_may_lack_it():
-    """A current stands for the sensor, and a run without gyros tells nothing of their biases."""
+    """A current stands for the sensor, and a run without gyros shows nothing of their biases."""
     bind_effect(EffectSpec("accel_bias_temperature"), grouping("temperature", "inject"), Registry())
     campaign = without(wide_campaign(), "temperature", "head-x-up-45")
     observed = [run.observed.copy() for run in campaign.runs]

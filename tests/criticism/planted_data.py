@@ -50,7 +50,7 @@ def random_fit(folder: Path, seed: int, *more: str) -> tuple[Fit, tuple[hidden.P
 
 
 def response(fitted: Fit, effect: str, **shape: float) -> Response:
-    """Return the response to an effect, of a shape where one is given."""
+    """Return the response to an effect, of a shape if one is given."""
     own = [each for each in candidate_responses(fitted).candidates if each.scan.effect == effect]
     return next(each for each in own if not shape or each.scan.shape == shape)
 
@@ -106,17 +106,17 @@ def probability(found: Diagnosis, kind: Explanation) -> float:
 
 
 def member(found: Diagnosis, effect: str) -> ScreenedEffect | None:
-    """Return an effect as a candidate of a group with a share worth the name; None where it is in none."""
+    """Return an effect as a candidate of a group with a share worth the name; None if it is in none."""
     every = [each for group in found.groups for each in group.candidates if each.effect == effect]
     return next((each for each in every if each.probability >= LEAST_SHARE), None)
 
 
 def names(found: Diagnosis, *effects: str) -> bool:
-    """Tell whether effects are missing rather than not, and all of these are among them."""
+    """Return whether effects are missing rather than not, and all of these are among them."""
     return bool(found.groups) and probability(found, "effects") > 0.5 and all(member(found, each) for each in effects)
 
 
 def surely_wrong(found: Diagnosis, *causes: str) -> list[tuple[str, ...]]:
-    """Return the groups that are told beyond reasonable doubt and hold none of the causes."""
+    """Return the groups that are reported beyond reasonable doubt and hold none of the causes."""
     wrong = [group for group in found.groups if not set(causes) & set(group.effects)]
     return [group.effects for group in wrong if group.probability >= NAMED]

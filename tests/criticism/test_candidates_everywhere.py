@@ -1,4 +1,4 @@
-"""What the generator says that readings feel is a candidate, and nothing else: over its effects and procedures.
+"""Exactly the effects that the generator says the readings feel are candidates: over its effects and procedures.
 
 The generator under `data/generators` shares no code with the package.  An effect that shifts its readings must be among
 the candidates of the campaign's fit; one that does not must not, and is said to be beyond these runs.
@@ -123,7 +123,7 @@ def _assert_felt(model: Model, shifts: dict[str, float], candidates: set[str], l
 
 
 def _recorded(model: Model, effect: str) -> bool:
-    """Tell whether a run has the covariates that an effect needs; a temperature that is held has no rate."""
+    """Return whether a run has the covariates that an effect needs; a temperature that is held has no rate."""
     return any(set(model.registry.effects[effect].needs) <= supplied for supplied in model.nodes.supplies)
 
 

@@ -1,4 +1,4 @@
-"""What one set of runs cannot tell apart is one answer with several names, and the run that separates them is named.
+"""What one set of runs cannot distinguish is one answer with several names, and the run that separates them is named.
 
 The simulator shares no code with the models.
 """

@@ -48,7 +48,7 @@ def test_what_is_expected_is_found(lacking):
 
 @pytest.mark.slow
 def test_with_what_acts_at_the_start_left_out_it_is_not(lacking, monkeypatch):
-    """The planted fault: the check goes red where the half width is taken to be zero where its expansion begins."""
+    """The planted fault: the check goes red if the half width is taken to be zero where its expansion begins."""
     monkeypatch.setattr(extend_module, "_without_new", lambda *_: None)
     expected, found, _ = falls(lacking)
     assert abs(expected / found - 1) > 0.2

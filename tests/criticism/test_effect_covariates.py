@@ -1,4 +1,4 @@
-"""What the coefficients of effects go with, against their formulas in words."""
+"""Covariates that the coefficients of effects multiply, against their formulas in words."""
 
 import numpy as np
 import pytest
@@ -30,6 +30,6 @@ def test_a_coefficient_goes_with_the_covariates_of_its_formula(name, kind, expec
 
 
 def test_the_signal_itself_is_varied(monkeypatch):
-    """Planted fault: where the generic signal is zero, a scale factor over temperature goes with nothing."""
+    """Planted fault: if the generic signal is zero, a scale factor over temperature goes with nothing."""
     monkeypatch.setattr(residual_covariates, "_GENERIC", np.zeros(64))
     assert covariates_of(CATALOGUE["accel_scale_temperature"], "accelerometer") == (frozenset(),)

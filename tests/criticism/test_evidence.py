@@ -363,7 +363,7 @@ def test_correlation_in_time_whitens_as_its_covariance_does() -> None:
 
 
 def test_a_search_is_heard_after_each_hypothesis() -> None:
-    """What leads is told long before the search ends, and is not taken back."""
+    """What leads is reported long before the search ends, and is not taken back."""
     counts, told = list[int](), list[str]()
 
     def heard(search: ModelSearch) -> None:

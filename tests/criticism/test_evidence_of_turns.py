@@ -1,4 +1,4 @@
-"""What the turns of a free tumble show and its poses at rest do not: a misaligned triad of gyros.
+"""A misaligned triad of gyros shows in the turns of a free tumble and not in its poses at rest.
 
 The simulator turns a unit by known rotations at constant rates on the turning Earth, and reads misaligned axes.
 """

@@ -34,7 +34,7 @@ PLANTED: list[dict[tuple[str, int], float]] = [
 
 
 def the_fit() -> Any:
-    """Return the fit of the residuals, as far as what is told asks of it."""
+    """Return the fit of the residuals, as far as what is reported asks of it."""
     runs = [SimpleNamespace(name=f"run{n}", covariates={}) for n in range(RUNS)]
     sensors = tuple(Channel(c, "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0) for c in CHANNELS)
     campaign = SimpleNamespace(site=SimpleNamespace(gravity=9.8), runs=runs, channels=sensors)

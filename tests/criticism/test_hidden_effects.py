@@ -1,6 +1,6 @@
-"""An effect that the model lacks is named with its size, whatever else the runs cannot tell from it is told beside it.
+"""A missing effect is named with its size; effects that the runs do not distinguish from it are named beside it.
 
-What is planted is a response of the package's own, or comes from generators that share no code with it.
+The planted effect is a response of the package's own, or comes from generators that share no code with it.
 """
 
 from dataclasses import replace
@@ -45,7 +45,7 @@ def polar() -> Fit:
 
 
 def sized(effect: str, deviations: float, seed: int) -> None:
-    """Fail where an effect of one coefficient that stands so far out of the noise is not named with its size."""
+    """Fail if an effect of one coefficient that stands so far out of the noise is not named with its size."""
     change, size = standing(converter(), effect, deviations)
     found = judge(planted(converter(), seed, change))
     assert names(found, effect), told(found)
@@ -190,7 +190,7 @@ def test_what_scatter_took_up_is_named_and_no_rest_of_it(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_one_effect_asked_about() -> None:
-    """Absent down to a size where nothing is missing, missing where it was planted."""
+    """Absent down to a size if nothing is missing, missing if it was planted."""
     effect = "converter_offset_temperature_rate"
     absent = judge(converter(), effect=effect)
     assert absent.verdict == "adequate", told(absent)

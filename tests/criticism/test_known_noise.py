@@ -84,7 +84,7 @@ def test_a_stated_noise_is_known_to_its_prior_only(no_lag):
 
 
 def contradicted(fit: Fit) -> list[tuple[str, str]]:
-    """Return the scales that contradict what is known, each with the source that tells."""
+    """Return the scales that contradict what is known, each with the source that shows it."""
     contradicting = compare_with_known(projected(fit)).contradicted
     return [(each.parameter, each.source) for each in contradicting if each.excessive]
 
@@ -96,7 +96,7 @@ def test_scatter_of_one_of_three_equal_gyros_is_told_by_its_sisters():
     assert (first.parameter, first.source, first.sisters) == ("run_scatter.tau[gx]", "sisters", ("gy", "gz"))
     assert first.excessive
     assert first.ratio > 12
-    # What the prior says is told beside it, although it contradicts nothing.
+    # What the prior says is reported beside it, although it contradicts nothing.
     assert (second.source, second.excessive) == ("prior", False)
     # The same scatter of all three gyros is what the prior allows for.
     assert contradicted(offset(fit, 1, 1.8, channels=(0, 1, 2))) == []
@@ -135,5 +135,5 @@ def test_the_chance_among_sisters_is_that_of_equal_sensors():
     p = np.array([chance_among_sisters(own, 4.0, expected, 8.0, sisters=2) for own, expected in pairs])
     assert np.mean(p < 0.05) == pytest.approx(0.05, abs=0.02)
     assert np.mean(p < 0.005) < 0.01
-    # A scale ten times that of its sisters is told.
+    # A scale ten times that of its sisters is reported.
     assert chance_among_sisters(100.0**2, 4.0, 1.0, 8.0, sisters=2) < 1e-5 < chance_among_sisters(4.0, 4, 1.0, 8.0, 2)

@@ -1,6 +1,6 @@
 """Several effects that are missing at once: each is named, and none that they imitate together is named for sure.
 
-What is planted is worked out here, or made by generators that share no code with the package.
+The planted effect is worked out here, or made by generators that share no code with the package.
 """
 
 from dataclasses import replace
@@ -153,7 +153,7 @@ def test_no_imitation_is_confirmed(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.xfail(reason="a bias drift of all axes fits as well, within a nat, and is simpler: it is named alone")
 def test_a_bias_drift_of_one_axis_beside_a_scale_drift_of_all(tmp_path: Path) -> None:
-    """Where both have to act on all axes, the bias drift is named alone, on axes that have none."""
+    """If both have to act on all axes, the bias drift is named alone, on axes that have none."""
     own, truth = random_fit(tmp_path / "campaign", 310018, "two")
     assert {(one.effect, one.channels) for one in truth} == {
         ("accel_bias_temperature", ("ax",)),

@@ -1,4 +1,4 @@
-"""Uncertainties of the equipment that a campaign states and a model takes as exact are told with what they would do."""
+"""Uncertainties of the equipment that a model takes as exact are reported with their effect on the estimates."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,7 +24,7 @@ from imubayes_qualification.budgets.taken_as_exact import ExactInput, exact_equi
 def fitted(ppm: float, gravity: float | None = None) -> Fit:
     """Return the fit of a campaign whose table rate is known to so many ppm, by a model that takes it as exact.
 
-    Gravity is known to so many µg; None where that is not stated.
+    Gravity is known to so many µg; None if that is not stated.
     """
     spec = read_model(ROOT / "models" / "hidden-effects.toml")
     spec = replace(spec, effects=tuple(each for each in spec.effects if each.name != "table_rate_error"))
@@ -151,7 +151,7 @@ def test_what_hardly_matters_is_not_told():
     assert not found.neglected
     assert found.proposed is None
     assert "No interval includes table_rate_error" not in sentence(found)
-    # Nothing is stated of gravity: what its largest typical error would do is told.
+    # Nothing is stated of gravity: what its largest typical error would do is reported.
     worst = found.most_biasing
     assert worst is not None
     assert (worst.coefficient, worst.size, worst.size_unit) == ("gravity_anomaly.anomaly[all]", 300.0, "ug")

@@ -1,6 +1,6 @@
-"""Noise that is not as the model says is told as noise, and no effect is named for it.
+"""Noise that is not as the model says is reported as noise, and no effect is named for it.
 
-Records of other noise come from `data/generators` where they are not drawn here; these share no code with the models.
+Records of other noise come from `data/generators` if they are not drawn here; these share no code with the models.
 """
 
 import math
@@ -35,7 +35,7 @@ def converter() -> Fit:
 
 
 def is_noise(found: Diagnosis, *families: str) -> None:
-    """Fail where what leads is not noise of these kinds, or an effect is likelier than not."""
+    """Fail if what leads is not noise of these kinds, or an effect is likelier than not."""
     assert found.verdict == "noise_model", told(found)
     assert probability(found, "noise") > 0.5, told(found)
     assert found.explanations is not None
@@ -45,7 +45,7 @@ def is_noise(found: Diagnosis, *families: str) -> None:
 
 
 ROW = 8.0 / np.sqrt(12)
-"""Standard deviation of the noise of a row of the converter, as its samples tell it."""
+"""Standard deviation of the noise of a row of the converter, as its samples determine it."""
 
 
 def walk(fitted: Fit, seed: int, step: float) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_random_walk_is_no_drift(seed: int) -> None:
 
 @pytest.mark.slow
 def test_noise_of_another_size() -> None:
-    """Samples within rows tell what the noise is; the rows scatter more."""
+    """Samples within rows determine what the noise is; the rows scatter more."""
     more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))
     found = judge(redrawn(converter(), 3, change=more))
     is_noise(found, "scale")
@@ -168,7 +168,7 @@ def test_a_drift_that_wandering_noise_explains_as_well_is_told_beside_it(tmp_pat
 
 @pytest.mark.slow
 def test_the_rows_told_against_the_samples_stay_with_the_noise() -> None:
-    """A diagnosis keeps the rows' scatter for pictures, and the sentence tells the ratio."""
+    """A diagnosis keeps the rows' scatter for pictures, and the sentence states the ratio."""
     more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))
     fitted = with_values(converter(), np.asarray(converter().model.problem.observations.value) + more)
     found = judge(fitted)

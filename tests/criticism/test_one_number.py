@@ -51,7 +51,7 @@ def covariate(name: str, values: np.ndarray) -> ResidualCovariate:
 
 
 def test_the_covariate_that_is_told_is_one_of_the_effect() -> None:
-    """Rates in rising order go with the time; of an effect that depends on the rate the rate is told."""
+    """Rates in rising order go with the time; of an effect that depends on the rate the rate is reported."""
     rate = np.linspace(-1.0, 1.0, 60)
     time = covariate("time", np.arange(60.0))
     [member] = [each for each in EFFECTS if each.name == "gyro_scale_quadratic"]
@@ -59,7 +59,7 @@ def test_the_covariate_that_is_told_is_one_of_the_effect() -> None:
     found = _following(member.name, member, "gyro", rate**2, known)
     assert found is not None
     assert found.name == "rate_i"
-    # Of an effect that depends on neither, none is told, however well it follows.
+    # Of an effect that depends on neither, none is reported, however well it follows.
     [other] = [each for each in EFFECTS if each.name == "gyro_bias_temperature"]
     assert _following(other.name, other, "gyro", rate**2, known) is None
 

@@ -1,4 +1,4 @@
-"""Readings that are far off: told as such, and from patterns, steps and effects; mended by `outliers`."""
+"""Outliers: reported as such, and distinguished from patterns, steps and effects; mended by `outliers`."""
 
 from dataclasses import replace
 
@@ -46,12 +46,12 @@ def places(fitted: Fit, change: np.ndarray) -> set[tuple[str, str, int]]:
 
 
 def listed(found: Diagnosis) -> set[tuple[str, str, int]]:
-    """Return the rows that a diagnosis tells as far off."""
+    """Return the rows that a diagnosis reports as outliers."""
     return {(each.run, each.channel, each.row) for each in found.outliers}
 
 
 def is_told(found: Diagnosis, where: set[tuple[str, str, int]]) -> None:
-    """Fail where the rows are not told, as outliers or as a wrong record of that row, or an effect is named."""
+    """Fail if the rows are not reported, as outliers or as a wrong record of that row, or an effect is named."""
     rows = {(run, row) for run, _, row in where}
     wrong = {(each.run, each.row) for each in found.disagreeing}
     assert where <= listed(found) or rows <= wrong, told(found)
@@ -74,7 +74,7 @@ def test_readings_that_are_far_off_are_told(whole: Fit) -> None:
     assert all(6 < abs(one.distance) < 30 for one in found.outliers), told(found)
 
 
-@pytest.mark.slow  # several are told at every run
+@pytest.mark.slow  # several are reported at every run
 @pytest.mark.parametrize("seed", [3, 8])
 def test_one_reading_that_is_far_off_is_told(whole: Fit, seed: int) -> None:
     change = hits(whole, 1, 12.0, seed=seed)

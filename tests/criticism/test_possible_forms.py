@@ -1,4 +1,4 @@
-"""A free form is offered where a sensor can make it, and under the name of an effect where it is one."""
+"""A free form is offered if a sensor can make it, and under the name of an effect if it is one."""
 
 import numpy as np
 import pytest

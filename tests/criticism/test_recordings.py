@@ -1,4 +1,4 @@
-"""The loop on real recordings whose makers never modelled what is missing; skipped where they are not at hand."""
+"""The loop on real recordings whose makers never modelled what is missing; skipped if they are not at hand."""
 
 from dataclasses import replace
 from pathlib import Path

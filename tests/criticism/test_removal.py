@@ -1,4 +1,4 @@
-"""Taking effects out again: the fit comes back to what it was, what it costs is told, and what is needed stays."""
+"""Taking effects out again: the fit comes back to what it was, what it costs is reported, and what is needed stays."""
 
 import json
 from dataclasses import replace

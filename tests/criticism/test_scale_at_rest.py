@@ -45,7 +45,7 @@ def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
 
 
 def said(found: Diagnosis) -> str:
-    """Return `right` with the cause in a group, `wrong name` where another is beyond doubt, else what was said."""
+    """Return `right` with the cause in a group, `wrong name` if another is beyond doubt, else what was said."""
     if member(found, "gyro_scale_factor") is not None:
         return "right"
     return "wrong name" if surely_wrong(found) else found.verdict
@@ -91,7 +91,7 @@ def test_the_scale_factor_is_named_in_every_draw(tmp_path, ppm):
 
 @pytest.mark.slow
 def test_a_small_scale_factor_error_gets_no_wrong_name(tmp_path):
-    """500 ppm of the Earth's rate are about what these runs can show: the cause, or nothing where they cannot."""
+    """500 ppm of the Earth's rate are about what these runs can show: the cause, or nothing if they cannot."""
     draws = range(300, 325)
     count = Counter(answered(tmp_path / str(seed), seed, 500.0) for seed in draws)
     print(count)

@@ -1,4 +1,4 @@
-"""The shipped campaigns with hidden effects: each is named, with its size; nothing is found where nothing is hidden."""
+"""The shipped campaigns with hidden effects: each is named, with its size; nothing is found if nothing is hidden."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Logs of a rate table used whole: the ramps between levels, where each gyro lags and the clock of the table is off.
+"""Logs of a rate table used whole: the ramps between levels, if each gyro lags and the clock of the table is off.
 
 The simulator filters the input of every gyro in steps of a millisecond and shares no code with the models.
 """
@@ -168,9 +168,9 @@ def test_the_lag_is_named_where_the_model_lacks_it(whole):
     assert found.explanations.leading.kind == "effects"
 
 
-@pytest.mark.slow  # compiles another model; the ramps tell the lags at every run
+@pytest.mark.slow  # compiles another model; the ramps determine the lags at every run
 def test_a_clock_offset_is_told_from_the_lags(tmp_path):
-    """One common delay is the clock's where the model has it alone; lag and offset share their sum."""
+    """One common delay is the clock's if the model has it alone; lag and offset share their sum."""
     folder = write_campaign(tmp_path / "late", 4, "transitions = true", skew_ms=-7, lags=np.zeros(3))
     skew, sd = estimates(folder, "time_skew")["time_skew.skew[table]"]
     assert abs(skew + 7.0) < 4 * sd

@@ -1,7 +1,7 @@
-"""Where the catalogue lacks the cause, no other effect is named beyond reasonable doubt.
+"""If the catalogue lacks the cause, no other effect is named beyond reasonable doubt.
 
-What is planted is worked out here, from a response that is then taken out of the catalogue, or by generators that share
-no code with the package.
+The planted effect is worked out here, from a response that is then taken out of the catalogue, or by generators that
+share no code with the package.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ def positions() -> Fit:
 
 
 def doubted(found: Diagnosis, *alike: str) -> None:
-    """Fail where something is named for sure, but for effects that do the same, or nothing is said to be missing."""
+    """Fail if something is named for sure, but for effects that do the same, or nothing is said to be missing."""
     assert found.verdict != "adequate", told(found)
     assert probability(found, "nothing") < 0.5, told(found)
     assert not surely_wrong(found, *alike), told(found)
@@ -57,7 +57,7 @@ def test_a_misalignment_is_no_magnetic_sensitivity(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_a_dead_zone_of_the_gyro_is_one_of_its_converter(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
-    """Only the stage differs: where one is lacking the other is its name."""
+    """Only the stage differs: if one is lacking the other is its name."""
     through = signal(positions())
     width = share * np.abs(through).max()
     without(monkeypatch, "gyro_dead_zone")
@@ -88,7 +88,7 @@ def test_a_cube_is_no_saturation_where_three_levels_of_the_input_do_not_tell(mon
     ],
 )
 def test_another_kind_of_memory_is_not_sure(monkeypatch: pytest.MonkeyPatch, absent: str) -> None:
-    """Twenty times the noise of a lag on the ramps of a converter is play as well where the catalogue lacks the lag."""
+    """Twenty times the noise of a lag on the ramps of a converter is play as well if the catalogue lacks the lag."""
     fitted = planted(converter(), 77, standing(converter(), absent, 20.0)[0])
     without(monkeypatch, absent)
     doubted(judge(fitted))
@@ -122,7 +122,7 @@ def test_a_curve_about_another_zero_is_a_curve(monkeypatch: pytest.MonkeyPatch) 
 
 
 def cubic_drift(fitted: Fit) -> np.ndarray:
-    """Return a drift of the gyro as the third power of the rate of the arm, where the unit turns back, (E,).
+    """Return a drift of the gyro as the third power of the rate of the arm, if the unit turns back, (E,).
 
     A scale factor linear in the force gives it: the force grows with the square of the rate, and the unit turns as fast
     as the arm.

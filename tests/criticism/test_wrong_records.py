@@ -26,7 +26,7 @@ from imubayes.model.bind import bind
 
 
 def recorded_as(fitted: Fit, run: str, column: str, change: Callable[[np.ndarray], np.ndarray]) -> Fit:
-    """Return the fit where a column of one run was recorded otherwise."""
+    """Return the fit if a column of one run was recorded otherwise."""
     campaign = fitted.model.campaign
     place = next(k for k, one in enumerate(campaign.runs) if one.name == run)
     values = change(np.array(campaign.runs[place].covariates[column]))
@@ -55,7 +55,7 @@ def cause(of: Disagreement, quantity: str) -> WrongRecord:
 
 
 def covers(found: WrongRecord, truth: float, component: int = 0, most: float = 4.0) -> bool:
-    """Tell whether what would agree, with its uncertainty, holds the truth."""
+    """Return whether what would agree, with its uncertainty, holds the truth."""
     return abs(found.agreeing[component] - truth) < most * found.sd[component]
 
 

@@ -1,4 +1,4 @@
-"""A diagnosis as it is displayed: the likeliest explanation first, then what supports it."""
+"""A diagnosis as it is displayed: the most probable explanation first, then what supports it."""
 
 import io
 import json

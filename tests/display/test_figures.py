@@ -1,4 +1,4 @@
-"""Pictures: drawn, captioned, with units, nothing outside the paper, readable where the data are odd."""
+"""Pictures: drawn, captioned, with units, nothing outside the paper, readable if the data are odd."""
 
 import json
 import re

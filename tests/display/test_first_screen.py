@@ -1,4 +1,4 @@
-"""What `check`, `diagnose` and `add` print first: verdict, evidence and one next command on a screen of 24 lines."""
+"""First lines of `check`, `diagnose` and `add`: verdict, evidence and one next command on a screen of 24 lines."""
 
 import io
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a reader has to know before the numbers stands on the first line."""
+"""The first line holds the caution that a reader needs before the numbers."""
 
 import json
 
@@ -112,7 +112,7 @@ def test_suspected_noise_is_a_notice_and_no_alarm(plain):
     assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance;")
     assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
     assert "Suspected:" in summary_html(doubted)
-    # Where there is an alarm it says enough.
+    # If there is an alarm it says enough.
     assert notices(doubted.model_copy(update={"noise_violations": VIOLATIONS})) == ()
 
 

@@ -1,4 +1,4 @@
-"""Runs are told apart by every reader: hues under colour vision deficiency, mountings and temperatures by class."""
+"""Runs are distinguished by every reader: hues under colour vision deficiency, mountings and temperatures by class."""
 
 import itertools
 

@@ -109,7 +109,7 @@ def test_the_row_says_why_and_the_terminal_which_command_gives_it():
     ],
 )
 def test_uncertainties_have_two_digits_where_the_draws_support_them(draws, u, said, digits):
-    """GUM 7.2.6, and the value to the same place; one digit is told by the name of the quantity."""
+    """GUM 7.2.6, and the value to the same place; one digit is determined by the name of the quantity."""
     normal = np.random.default_rng(7).standard_normal(draws)
     marginal = Marginal(-1234 + u * (normal - normal.mean()) / normal.std(), float(draws))
     found = coverage_of(marginal, KnownUncertainty(u, 1e-4 * u))
@@ -211,7 +211,7 @@ def test_decisions_and_risks_have_symbol_and_channel():
     ],
 )
 def test_a_guard_band_that_leaves_no_acceptance_zone_says_so(changes, nothing):
-    """A FAIL that no unit could have passed is told from one of this unit: in the row, and before all tables."""
+    """A FAIL that no unit could avoid is distinguished from one of this unit: in the row, and before all tables."""
     found = limit(2).model_copy(update=changes | {"outcome": "fail"})
     assert found.accepts_nothing == nothing
     decision = limits_table([found]).rows[0][-1].text

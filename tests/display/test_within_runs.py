@@ -1,4 +1,4 @@
-"""Where runs have offsets the error that an effect explains is that within runs; the rms as a whole may even rise."""
+"""If runs have offsets the error that an effect explains is that within runs; the rms as a whole may even rise."""
 
 from dataclasses import replace
 
@@ -92,7 +92,7 @@ def test_before_and_after_are_about_the_means_of_runs_where_the_diagnosis_was():
     assert drawn is not None
     rms = [float(axes.get_title(loc="left").split("rms ")[1].split()[0]) for axes in drawn.axes]
     assert rms[1] < 0.9 * rms[0]
-    # What follows the input is drawn against the input where the table of residuals has it.
+    # What follows the input is drawn against the input if the table of residuals has it.
     known = before.with_columns(input_observed=pl.lit(1.0) * pl.int_range(60))
     against = before_after(known, after, "gyro_scale_asymmetry", group=within)
     assert against is not None

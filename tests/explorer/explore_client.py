@@ -18,7 +18,7 @@ PATIENCE = 300.0
 
 @dataclass(frozen=True)
 class Client:
-    """Asks a server as its own page does, unless told otherwise."""
+    """Asks a server as its own page does, unless stated otherwise."""
 
     address: str
 

@@ -1,4 +1,4 @@
-"""What a change does to the residuals is shown before its fit is made, and is what the fit finds."""
+"""The effect of a change on the residuals is shown before its fit is made, and agrees with that fit."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""What the server answers about a fitted campaign: what the commands say, and what dense algebra gives."""
+"""Answers of the server about a fitted campaign agree with the commands and with dense algebra."""
 
 import base64
 import http.client
@@ -106,7 +106,7 @@ def test_all_readings_rank_as_the_diagnosis_does(client, first, facts):
     assert found["n"] == found["of"] == sum(cell["n"] for cell in facts["cells"])
     assert found["offset"] is None  # an offset of all readings is a bias
     assert found["causes"][0]["effect"] == HIDDEN
-    # The ranking of the diagnosis tells the best variant of an effect, this one adds its variants up.
+    # The ranking of the diagnosis shows the best variant of an effect, this one adds its variants up.
     assert odds[HIDDEN] > 100
     assert odds[HIDDEN] - 1e-6 <= found["causes"][0]["log_odds"] <= odds[HIDDEN] + 2
 
@@ -215,7 +215,7 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch
             odds = view.explained.rows.form_odds(view.explained.rows.by_others(chosen))
         expected = told.log_prior + gain(base + told.amplitude**2 * response @ response.T) - gain(base)
         assert odds == pytest.approx(expected, abs=0.01 * abs(expected) + 0.01), form.name
-    # Readings of one side alone do not tell an asymmetry from other causes; with the others they do.
+    # Readings of one side alone do not distinguish an asymmetry from other causes; with the others they do.
     assert view.rank(chosen).causes[0].effect == HIDDEN
 
 
@@ -374,7 +374,7 @@ def test_hostile_names_are_kept_as_text(client, explored, first):
 
 
 def test_a_request_is_answered_while_another_tells_the_state(client, explored):
-    """The stream of states begins with the present one, and tells a change."""
+    """The stream of states begins with the present one, and reports a change."""
     connection = http.client.HTTPConnection(*client.host.split(":"), timeout=30)
     connection.request("GET", f"/{client.token}/events", headers={"Host": client.host})
     answer = connection.getresponse()

@@ -64,7 +64,7 @@ def test_the_run_that_narrows_a_quantity_is_that_of_the_kernel(client, explored,
     best = explored.session.require(first).result.next_runs(wanted["names"])
     assert [row[1] for row in found["table"]["rows"]] == [line.quantity for line in best]
     assert set(found["none_for"]) == set(wanted["names"]) - {line.quantity for line in best}
-    assert RATE in found["none_for"]  # a rate table is not told from its own rate by any run on it
+    assert RATE in found["none_for"]  # a rate table is not distinguished from its own rate by any run on it
     for line in best:
         assert 0 < line.sd_after < 0.9 * line.sd_before
 

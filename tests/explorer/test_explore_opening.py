@@ -1,4 +1,4 @@
-"""A result that is opened: its readings first, its diagnosis from the folder where one is, another result told."""
+"""A result that is opened: its readings first, its diagnosis from the folder if one is, another result reported."""
 
 import http.client
 import json

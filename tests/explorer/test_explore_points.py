@@ -1,4 +1,4 @@
-"""What is pointed at, clicked, zoomed and folded on the page, by mouse, touch and keys, from 390 to 1920 px."""
+"""Pointing, clicking, zooming and folding on the page, by mouse, touch and keys, from 390 to 1920 px."""
 
 import json
 import re
@@ -65,7 +65,7 @@ def test_pointing_at_a_reading_says_what_it_is_and_a_click_selects_it(fresh):
     [brush] = fresh.view()["brushes"]
     assert brush["runs"] == ["rate-z-up"]
     assert len(brush["rows"]) == 1
-    # Where there is no reading a click selects nothing.
+    # If there is no reading a click selects nothing.
     ActionChains(fresh.driver).move_to_element_with_offset(over, 0, down).click().perform()
     assert fresh.view()["brushes"] == [brush]
 
@@ -252,7 +252,7 @@ def test_all_estimates_are_listed_with_and_without_a_preview(fresh):
 
 
 def test_another_result_is_told_and_shown_when_asked(fresh):
-    """The state says that the folder holds another one: the page tells it, and asks for it on a click."""
+    """The state says that the folder holds another one: the page reports it, and asks for it on a click."""
     fresh.run("(window.asked = [], null)")
     # It is not opened anew here, which takes as long as its diagnosis: test_explore_opening does.
     fresh.run(

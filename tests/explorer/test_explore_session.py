@@ -1,4 +1,4 @@
-"""What a session keeps, and what its windows are told while others work on the same results."""
+"""What a session keeps, and what its windows receive while others work on the same results."""
 
 import asyncio
 import json
@@ -147,7 +147,7 @@ def test_tasks_that_wait_are_told_however_many_there_are():
 
 
 def test_what_a_cancelled_task_has_written_is_told():
-    """Cancelled before it told what it wrote, and after: what was written is there."""
+    """Cancelled before it reported what it wrote, and after: what was written is there."""
     worker, at_work, go = Worker(lambda: None), threading.Event(), threading.Event()
 
     def work(tell: Tell) -> TaskOutcome:

@@ -91,7 +91,7 @@ def test_what_is_outside_the_catalogue_becomes_an_effect_by_its_formula(outside)
         assert made.taken
         assert made.chi2 < before - 50
         page.wait("document.querySelector('#tab-panel').textContent.includes('found_gyro_shape')")
-        # Its file is needed beside the model: that is told, with the command that writes both.
+        # Its file is needed beside the model: that is reported, with the command that writes both.
         page.press("e")
         page.wait("document.querySelector('#notice .fault')")
         assert "found_shape" in page.text("#notice .fault")

@@ -1,4 +1,4 @@
-"""What the data know of θ at noise scales far from the mode: blocks against the whole Jacobian."""
+"""Information of the data on θ at noise scales far from the mode: blocks against the whole Jacobian."""
 
 from dataclasses import replace
 from functools import cache

@@ -142,7 +142,7 @@ SHAPES = pytest.mark.parametrize(
 @pytest.mark.slow
 @SHAPES
 def test_shapes_that_the_moves_cannot_follow_do_not_converge(density, start, scale):
-    """NumPy tells no gradient."""
+    """NumPy gives no gradient."""
     found = imubayes.sample(
         lambda points: np.asarray(density(points)), start, scale, settings=Settings(most_steps=1200)
     )
@@ -220,7 +220,7 @@ def test_walkers_where_a_proposal_never_comes_are_against_it():
     found = weigh(density, NormalProposal(np.zeros(5), np.eye(5)), 4, 1000, 0)
     walkers = np.random.default_rng(0).normal(size=(64, 5))
     assert agrees(found, walkers, density(walkers))
-    # A second mode as high as the first, for three of them; where it is as low as the proposal they say nothing.
+    # A second mode as high as the first, for three of them; if it is as low as the proposal they say nothing.
     walkers[:3, 0] += 10
     assert not agrees(found, walkers, np.where(walkers[:, 0] > 5, 0.0, density(walkers)))
     assert agrees(found, walkers, density(walkers))

@@ -129,7 +129,7 @@ def test_a_single_well_known_parameter_is_no_combination():
 
 
 def test_members_that_are_correlated_but_not_weak_have_a_standard_sum():
-    """Three harmonics tell K1, K3 and K_oq apart, each from data for the most part, but their sum much better."""
+    """Three harmonics determine K1, K3 and K_oq, each from data for the most part, but their sum much better."""
     further = ([0.0, 0.02, 0.0], [0.0, 0.0, 0.02])
     precision, _ = posterior(np.array([list(FIRST_HARMONIC.values()), *further]), 1.0, np.array([1e4, 1e4, 1e4]))
     assert not members(precision).any()
@@ -146,7 +146,7 @@ def test_the_leading_member_makes_most_of_the_sum():
 
 
 def test_projected_scale_factor():
-    """One mounting tells k cos θ; where another tells k as well there is nothing to report."""
+    """One mounting determines k cos θ; if another determines k as well there is nothing to report."""
     projected = [ProjectedScaleFactor("k′", "1", "k", "theta")]
 
     def found(further: list[list[float]]):

@@ -96,7 +96,7 @@ def test_the_linear_residual_is_the_residual_with_its_derivative():
 
 
 def test_a_mode_learnt_from_the_steps_is_as_good():
-    """With the Hessian of a place nearby no other is computed; red where a long step passes for the end."""
+    """With the Hessian of a place nearby no other is computed; red if a long step passes for the end."""
     problem, near = made().problem, away(2, 0.3)
     exact, _ = marginal.climb(problem, about(), near)
     information = marginal.curvature(problem, about(), near).information

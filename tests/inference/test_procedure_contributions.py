@@ -1,4 +1,4 @@
-"""What each procedure tells agrees with the posterior: quantities without a gradient are left out."""
+"""What each procedure determines agrees with the posterior: quantities without a gradient are left out."""
 
 import numpy as np
 

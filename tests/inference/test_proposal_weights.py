@@ -149,7 +149,7 @@ def verdict_with_weights(largest: float):
 
 
 def test_a_heavy_tail_of_weights_that_are_all_alike_does_not_end_a_short_chain():
-    """More steps make the intervals exact: they are to be taken.  They change nothing where places are missed."""
+    """More steps make the intervals exact: they are to be taken.  They change nothing if places are missed."""
     alike, missed = verdict_with_weights(1.4), verdict_with_weights(60.0)
     assert not alike.converged
     assert "95 % interval" in alike.message

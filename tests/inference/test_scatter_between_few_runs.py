@@ -101,7 +101,7 @@ def fitted(data: Callable[[], Data]) -> Result:
 
 
 def known_from(data: Data, gyro: int) -> list[np.ndarray]:
-    """Return what a gyro tells at each τ of the biases and the error of the rate, in prior widths.
+    """Return what a gyro determines at each τ of the biases and the error of the rate, in prior widths.
 
     Precision, gradient, square of the misfit and log determinant of the covariance.
     """

@@ -16,7 +16,7 @@ from imubayes.model.problem import predict_many
 from small_campaign import campaign, simulated, spec
 
 QUIETER = 1e-3
-"""Noise relative to that of the small campaign: most parameters are told to 1e-6 of their priors, three not at all."""
+"""Noise over that of the small campaign: most parameters are determined to 1e-6 of their priors, three not at all."""
 
 
 @cache

@@ -70,7 +70,7 @@ def test_hysteresis_follows_the_play_operator(run):
 
 @cache
 def with_a_converter_of_its_own() -> Model:
-    """Return a model of a campaign where the converter of one run takes a course apart from the sensor's."""
+    """Return a model of a campaign if the converter of one run takes a course apart from the sensor's."""
     among = wide_campaign()
     place = [run.name for run in among.runs].index("cycle-fast")
     run = among.runs[place]

@@ -172,7 +172,7 @@ def test_many_degrees_of_freedom_are_normal_noise():
     assert float(density(model.problem, z, far)) == pytest.approx(expected + constant - 3 * 15.0**2, abs=0.05)
 
 
-@pytest.mark.slow  # two fits; criticism/test_outliers.py tells outliers at every run
+@pytest.mark.slow  # two fits; criticism/test_outliers.py finds outliers at every run
 def test_outliers_do_not_bias_the_fit():
     model, heavy, normal = contaminated(WITH_OFFSETS), fitted(), fitted_with_normal_noise()
     assert bool(heavy.converged)

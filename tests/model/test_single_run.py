@@ -1,4 +1,4 @@
-"""What differs from run to run cannot be known from one run: it is left out of the bound model, and said."""
+"""A scatter between runs cannot be determined from one run: it is left out of the bound model, and reported."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_runs_are_counted_for_each_channel(name):
     assert model.left_out == (SingleRunEffect(effect=name, channels=("ay",)),)
     labelled = {each.partition("[")[2].rstrip("]").split(",")[0] for each in model.parameter_names if name in each}
     assert labelled == ({*GYROS, *ACCELS} if name == "run_scatter" else {*ACCELS}) - {"ay"}
-    # Where a run is added in thought, what was left out does not come in.
+    # If a run is added in thought, what was left out does not come in.
     again = bind(model.spec_of_known, campaign())
     assert {each for each in again.parameter_names if name in each and "ay" in each} == set()
 

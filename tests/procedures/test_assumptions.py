@@ -1,4 +1,4 @@
-"""The textbook of every further procedure: right where its assumptions hold, off by what theory says where not.
+"""The textbook of every further procedure: right if its assumptions hold, off by what theory says if not.
 
 Campaigns come from the independent simulator.
 """
@@ -201,7 +201,7 @@ def test_an_error_of_the_reference_goes_straight_into_the_scale(tmp_path):
 
 
 def test_a_late_clock_scatters_matched_speeds(tmp_path):
-    """Where speeds cross they change in opposite senses: what a delay makes of one does not cancel in the other."""
+    """If speeds cross they change in opposite senses: what a delay makes of one does not cancel in the other."""
     plan = reference_gyro.plan(2, model=model_of("reference-gyro"))
     truth = ideal(plan.draw(2))
     true, late = (

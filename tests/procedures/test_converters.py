@@ -56,7 +56,7 @@ def test_a_standard_deviation_describes_the_tails_of_an_offset_whose_scatter_onl
 
 @pytest.mark.parametrize("seed", [5024, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5035, 5041))])
 def test_three_runs_whose_scatter_is_in_the_tail_of_its_prior_are_held_by_the_posterior(seed, tmp_path):
-    """The runs do not tell their scatter from errors of bias, scale and current source: all sizes of it have mass."""
+    """The runs do not distinguish their scatter from errors of bias, scale and source: all sizes of it have mass."""
     truth = accel_channel.generate(tmp_path, seed)
     result = fit(tmp_path, ROOT / "models" / "accel-channel.toml", sample=False)
     assert result.summary.prior_scatter

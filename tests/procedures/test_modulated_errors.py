@@ -1,4 +1,4 @@
-"""What a rotating unit leaves of its errors, from outputs written down here: biases, and scale and axes times the rate.
+"""Errors that a rotating unit does not average out, from outputs made here: biases, and scale and axes times the rate.
 
 Plain NumPy: vertical axis; table axes at angle 0 are East, North, Up; the unit turns with the table by φ about z.
 """

@@ -1,4 +1,4 @@
-"""What a procedure makes of a run: nodes, weights, and the motion as drawn."""
+"""A run as its procedure sees it: nodes, weights, and the motion as drawn."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a procedure is made for is in the first model of its runs, where they determine it, and that model fits."""
+"""The effects that a procedure is made for are in the first model of its runs, if determined, and that model fits."""
 
 import shutil
 from pathlib import Path

@@ -1,5 +1,5 @@
-"""Textbook estimates on campaigns of the independent simulator: right where the assumptions hold, wrong by the amount
-that theory says where they do not."""
+"""Textbook estimates on campaigns of the independent simulator: right if the assumptions hold, wrong by the amount
+that theory says if they do not."""
 
 import tomllib
 from pathlib import Path
@@ -37,7 +37,7 @@ def of(found, start, run=""):
 
 @pytest.mark.slow
 def test_scale_factor_with_the_axis_along_the_table(trihedral):
-    """cos θ is flat where θ is small: a seat that errs by arc minutes does not matter, the table's rate does."""
+    """cos θ is flat if θ is small: a seat that errs by arc minutes does not matter, the table's rate does."""
     found, truth = trihedral
     rate_error = truth["table_rate_error.rate_error[rate]"]
     for channel, seat in (("gx", "x-up"), ("gy", "y-up"), ("gz", "z-up")):

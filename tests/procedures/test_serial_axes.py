@@ -118,7 +118,7 @@ PARTS = re.compile(r"([+-]?)([0-9.]*)·?(D_[A-Z]+)")
 
 
 def of_truth(name, truth, channels):
-    """Return the true value of an estimate: of a parameter, a scale factor, or a sum such as D_F+D_SS; 0 where none."""
+    """Return the true value of an estimate: of a parameter, a scale factor, or a sum such as D_F+D_SS; 0 if none."""
     values = truth | serial_table.truth.scale_factors(channels, truth)
     symbols, _, label = name.partition("[")
     if not symbols.startswith("D_"):

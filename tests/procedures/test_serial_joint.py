@@ -1,5 +1,5 @@
 """Joint fits on a table of three axes and on a centrifuge: the signal path is that of the simulator, and the fit says
-what it cannot tell apart.
+what it cannot distinguish.
 """
 
 from functools import cache

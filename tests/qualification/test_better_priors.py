@@ -1,4 +1,4 @@
-"""What a better prior leaves of an uncertainty, against fits with that prior: the scatter between runs is unknown."""
+"""The uncertainty that a better prior leaves, against fits with that prior: the scatter between runs is unknown."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_a_better_prior_leaves_what_a_fit_with_it_leaves(factor):
     mode = conditional(GRID[weight.argmax()], WIDTHS, nothing)[1]
     scatter = GRID[np.searchsorted(np.cumsum(weight), (np.arange(4000) + 0.5) / 4000)]
     better = BetterPriors((3, 2))
-    # What is left where the scatter is believed to be known as well as before.
+    # What is left if the scatter is believed to be known as well as before.
     unmoved = np.zeros((3, 2))
     for value in scatter:
         covariance, mean, _ = conditional(value, WIDTHS, nothing)

@@ -115,7 +115,7 @@ def test_there_is_no_decision_on_what_the_data_do_not_determine(tmp_path, ends):
 
 @pytest.mark.parametrize("name", ["global_risk", "specific_risk", "conformance_probability"])
 def test_an_exact_quantity_of_a_production_needs_no_guard_band(tmp_path, name):
-    """Without an uncertainty a unit is accepted where it conforms: no risk, and a guard band is not divided by zero."""
+    """Without an uncertainty a unit is accepted if it conforms: no risk, and a guard band is not divided by zero."""
     known = quantities()
     exact = {**known.draws, "gyro_bias.bias[gx]": np.full(SIZE, 5.0)}
     ends = 'lower = -10\nupper = 10\nunit = "deg/h"\nproduction = { mean = 0, sd = 8 }'

@@ -254,7 +254,7 @@ def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
 
 @pytest.mark.slow
 def test_gyros_alone_are_right_within_an_uncertainty_that_has_their_g_sensitivity():
-    """Turned by hand at rest in between: the specific force is g in directions that the recording does not tell."""
+    """Turned by hand, at rest in between: the specific force is g in directions that the recording leaves open."""
     model = bind(spec("gyro_bias", "gyro_g_sensitivity", "accel_bias"), campaign())
     z = np.array([2.0 if p.name.startswith("gyro_g_sens") else 0.3 for p in model.layout.parameters])
     result = planted(model, z, sd=1e-4)
@@ -284,7 +284,7 @@ def test_gyros_alone_are_right_within_an_uncertainty_that_has_their_g_sensitivit
         assert np.abs(wrong / stated).max() < 2
         # Neither is it wide beyond reason: the force is g at most.
         assert np.sqrt(np.mean((wrong / stated) ** 2)) > 0.4
-    # What both kinds tell is corrected.
+    # What both kinds determine is corrected.
     assert correction_of(result, tuple(c.name for c in model.campaign.channels), "recording").left_in == ()
 
 

@@ -1,8 +1,8 @@
-"""The law of what a recording does not tell, over all effects of the registry.
+"""The law of what a recording does not determine, over all effects of the registry.
 
 A unit has one effect, large for its kind.  What the rows of a campaign read is held against what the model makes of the
-inputs that a recording with these rows tells, or constants on board use, and of nothing else: that difference is left
-in.  It is within three stated standard uncertainties, and the effect is named.
+inputs that a recording with these rows determines, or constants on board use, and of nothing else: that difference is
+left in.  It is within three stated standard uncertainties, and the effect is named.
 """
 
 from functools import cache
@@ -91,7 +91,7 @@ def temperatures() -> np.ndarray:
 
 
 def told(recording: str) -> np.ndarray:
-    """Return what a recording tells of the inputs of each entry, shape (E, 6)."""
+    """Return what a recording shows of the inputs of each entry, shape (E, 6)."""
     if recording != "along axes":
         columns = RECORDINGS[recording]
         return inputs() * np.repeat([set(GYROS) <= set(columns), set(ACCELEROMETERS) <= set(columns)], 3)

@@ -1,4 +1,4 @@
-"""What the data do not determine is not zero: it stands among what was not measured, in the record and on the page."""
+"""A quantity that the data do not determine is not zero: record and page list it as not measured."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def test_priors_and_nominal_values_are_not_measured():
     lines = {each.symbol: each for each in standard_estimates(unit())}
     measured = {symbol for symbol, each in lines.items() if each.measured}
     assert measured == {"D_F", "D_O", "Θ_O"}
-    # A length is measured where both of its components are.
+    # A length is measured if both of its components are.
     assert not lines["Θ"].measured
     listed = {each.symbol: each for each in _not_measured(list(lines.values()))}
     assert set(listed) == {"S", "D_IO", "D_I", "Θ_S", "Θ"}

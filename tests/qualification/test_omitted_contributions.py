@@ -1,4 +1,4 @@
-"""What every U contains of site and equipment that a model takes as exact, and what it omits, is on the first page."""
+"""The first page states which properties of site and equipment, exact in the model, every U includes or omits."""
 
 import math
 

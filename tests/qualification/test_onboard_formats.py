@@ -1,7 +1,7 @@
 """Constants in the formats of other programs: each file is read back and applied by that program's own formula.
 
 The formulas are written down here from the sources of PX4, ArduPilot and kalibr, in NumPy; the C header is compiled.
-What they make of outputs must be what was put in: the outputs are made in the test, from the physics alone.
+The corrected outputs must equal the inputs: the outputs are made in the test, from the physics alone.
 """
 
 import itertools

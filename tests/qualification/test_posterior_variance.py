@@ -1,4 +1,4 @@
-"""Variance with the linear part as control variate: unbiased, sharper than the draws, and refused where it is wrong."""
+"""Variance with the linear part as control variate: unbiased, sharper than the draws, and refused if it is wrong."""
 
 import numpy as np
 import pytest

@@ -64,7 +64,7 @@ def test_the_page_states_them_with_their_symbols(report):
     assert "DII−DSS[g]" in said
     assert "gyro_g2_sensitivity.d_ii[g] − gyro_g2_sensitivity.d_ss[g]" in said
     assert "D_F+D_II[g]: u =" in said
-    # Who reads the table of the standards is told which of its lines do not stand for themselves.
+    # Who reads the table of the standards learns which of its lines do not stand for themselves.
     (sentence,) = re.findall(r"Much better determined together than by themselves: ([^;]*);", said)
     assert re.findall(r"D_\w+", sentence) == ["D_F", "D_II", "D_OO", "D_SS"]
     none = html_page(report_document(report.model_copy(update={"combinations": ()})))

@@ -1,4 +1,4 @@
-"""What a conformance probability promises, checked on simulated units: plain NumPy, no model of the package.
+"""The meaning of a conformance probability, checked on simulated units: plain NumPy, no model of the package.
 
 2000 units with a true value each are measured once with a known standard uncertainty; the production's spread is wide
 against it, so that the posterior is the measurement.  Among units reported with p_c = 0.90 ± 0.02 the share that is

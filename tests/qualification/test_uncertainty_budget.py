@@ -205,7 +205,7 @@ def test_an_instrument_of_which_nothing_is_stated_is_in_what_u_omits_with_its_ef
 
 
 def test_a_thermometer_with_a_stated_uncertainty_is_not_omitted(result):
-    """0 is one that is stated: the run's temperature is exact, and nobody is told that it is not known."""
+    """0 is one that is stated: the run's temperature is exact, and no message says that it is not known."""
     campaign = result.fit.model.campaign
     runs = tuple(replace(run, converter_temperature_uncertainty=0.0) for run in campaign.runs)
     declared = bind(result.fit.model.spec, replace(campaign, runs=runs))
@@ -258,7 +258,7 @@ def test_the_gain_of_a_thermometer_is_about_25_degrees_or_the_mean_of_its_run(re
 
 
 def test_a_stated_uncertainty_of_the_time_base_is_in_u(result):
-    """By hand: pulses of a current that is injected tell its gain, which has the relative error of the time base."""
+    """By hand: pulses of an injected current determine its gain, which has the relative error of the time base."""
     fitted_with = bound_with(result, instruments=Instruments(time_base=20e-6))
     layout = fitted_with.model.layout
     gradient = np.where(np.array(layout.names) == SOURCE, layout.parameters[layout.index(SOURCE)].prior_sd, 0.0)

@@ -38,7 +38,7 @@ def one_line(text: str) -> str:
 
 
 def is_told(line: str, said: str) -> bool:
-    """Tell whether an output has a line, of sampled estimates to a tenth of their standard deviation."""
+    """Return whether an output has a line, of sampled estimates to a tenth of their standard deviation."""
     name, *_ = line.split()
     shown, printed = (re.search(rf"(?:^| ){re.escape(name)} (\S+) ± (\S+) (.*)", text) for text in (line, said))
     if not (name.endswith("]") and shown and printed):

@@ -31,7 +31,7 @@ def packed_text(folder: Path) -> Path:
 
 
 def understood(file: Path) -> bool:
-    """Whether a file is read; False where it is refused with an error in four parts that names it."""
+    """Whether a file is read; False if it is refused with an error in four parts that names it."""
     refused: tuple[Issue, ...] = ()
     try:
         with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of numbers beyond all sense

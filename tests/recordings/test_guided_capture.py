@@ -175,7 +175,7 @@ def test_every_direction_has_words():
 
 
 def test_turns_about_one_axis_are_told_with_what_they_leave_open(one_axis, tmp_path):
-    """The fit of |f| = g does not run away along what the poses do not tell."""
+    """The fit of |f| = g does not run away along what the poses do not determine."""
     assert run(["convert", str(one_axis), "--out", str(tmp_path / "c"), "--gravity-m-s2", str(GRAVITY)]) == 0
     notes = imubayes.load_campaign(tmp_path / "c").runs[0].notes
     assert any("about one axis of the body, (1.00, 0.00, " in note for note in notes), notes

@@ -86,7 +86,7 @@ def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
 @pytest.mark.parametrize(("poses", "told"), [(6, False), (60, True)])
 @pytest.mark.slow
 def test_what_six_faces_cannot_tell_from_a_bias_is_no_effect_of_the_model(tmp_path, poses, told):
-    """|f| = g at attitudes that nobody knows: six values tell six biases and scale factors, and no K2 beside them."""
+    """|f| = g at unknown attitudes: six values determine six biases and scale factors, and no K2 beside them."""
     rng = np.random.default_rng(2)
     faces = np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None] + 0.03 * rng.normal(size=(6, 3))
     directions = faces if poses == 6 else rng.normal(size=(poses, 3))

@@ -219,6 +219,6 @@ def test_the_gradient_is_that_of_the_likelihood():
 
 
 def test_a_correlation_time_far_below_a_block_is_white_noise():
-    """Also where the exponential of a whole block would overflow; warnings are errors here."""
+    """Also if the exponential of a whole block would overflow; warnings are errors here."""
     found = coefficient_variance(NoiseTerm.MARKOV, Averages(20, 1024, 1.0), 0.5)
     np.testing.assert_allclose(found, (1 + 2 / np.expm1(2.0)) / 1024, rtol=2e-3)

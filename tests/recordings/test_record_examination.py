@@ -1,4 +1,4 @@
-"""What a record holds beside noise is found, named and kept out of the terms; noise is not taken for it."""
+"""Disturbances of a record are found, named and kept out of the terms; noise is not taken for them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is wrong with the clock of a recording is said, and mended where there is no doubt."""
+"""What is wrong with the clock of a recording is said, and mended if there is no doubt."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a recording does not state is guessed from its numbers, said, and never stored as a fact."""
+"""Facts that a recording does not state are guessed from its numbers, reported, and never stored as facts."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Kinds of recordings that were read wrongly without a word, or refused without a remedy: each is read, or told."""
+"""Kinds of recordings that were read wrongly without a word, or refused without a remedy: each is read, or reported."""
 
 import json
 from collections.abc import Callable

@@ -94,7 +94,7 @@ def test_accelerometers_keep_what_is_not_a_stated_turn(tmp_path: Path) -> None:
         ("recording", "free_tumble"), ("turns-z", "rate_table"),
     ]  # fmt: skip
     rest = made.tables["runs/recording.csv"]
-    # The turns about z are told once, as rows; the one about x is left to gravity.
+    # The turns about z are reported once, as rows; the one about x is left to gravity.
     assert np.ptp(np.cumsum(rest["gz"] - BIAS[2])) / HZ < 0.1
     assert np.ptp(np.cumsum(rest["gx"] - BIAS[0])) / HZ == pytest.approx(1.01 * np.pi / 2, abs=0.01)
 

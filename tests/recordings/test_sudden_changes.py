@@ -1,4 +1,4 @@
-"""Outliers, steps and transients of a record are told from its noise."""
+"""Outliers, steps and transients of a record are distinguished from its noise."""
 
 import numpy as np
 import pytest

@@ -37,7 +37,7 @@ def test_each_of_several_tagged_files_is_a_run(tmp_path: Path) -> None:
     read = read_recordings(files, turn_deg=360, latitude_deg=48, gyro_unit="deg/s")
     runs = {run["name"]: run for run in read.campaign.document["run"]}
     assert {"turns-x-1", "turns-y-2", "turns-z-3"} < set(runs)
-    # Each rest lies on the face that its own accelerometers tell.
+    # Each rest lies on the face that its own accelerometers determine.
     assert [runs[f"recording-{k}"]["mounting"] for k in (1, 2, 3)] == ["x-up", "y-up", "z-up"]
 
 

@@ -40,7 +40,7 @@ def dropped_one_by_one(likelihood: NoiseLikelihood) -> tuple[NoiseTerm, ...]:
 
 @pytest.fixture(scope="module")
 def faint_walks() -> list[NoiseLikelihood]:
-    """Records of white noise and a random walk that a slope of the Allan deviation does not tell from flicker noise."""
+    """Records of white noise and random walk that no slope of the Allan deviation distinguishes from flicker noise."""
     return [likelihood_of(FAINT_WALK, [41, number]) for number in range(RECORDS)]
 
 

@@ -1,6 +1,6 @@
 """Write to copies of a result folder, each time in a process that ends, as if killed, after one operation more.
 
-Arguments: a result, what is written (another result, or a file of another command; where it does not exist, the result
+Arguments: a result, what is written (another result, or a file of another command; if it does not exist, the result
 is read), and a folder for the copies; the copy `n` was left by a process that made n changes to the disk.
 """
 

@@ -84,7 +84,7 @@ def test_what_a_further_run_leaves_of_an_angle_near_zero(result):
     assert angle.mean < 3 * angle.sd
     (lines,) = rank(result.fit, [name])
     assert lines[0].sd_before == pytest.approx(angle.sd, rel=0.05)
-    # Runs on this table tell nothing of the tilt of the seat; by the gradient 1e-9 of a degree would be left.
+    # Runs on this table show nothing of the tilt of the seat; by the gradient 1e-9 of a degree would be left.
     assert all(0.5 * angle.sd < line.sd_after <= line.sd_before * (1 + 1e-9) for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""What each procedure tells agrees with the posterior, on every shipped campaign with several procedures."""
+"""What each procedure determines agrees with the posterior, on every shipped campaign with several procedures."""
 
 import numpy as np
 import pytest
@@ -20,11 +20,11 @@ def test_contributions_agree_with_the_posterior(name):
         quantity = derived[each.quantity]
         assert each.sd == quantity.sd
         for share in each.by:
-            # A part of the data tells no more than all of them, and no less than the prior; both are from draws.
+            # A part of the data determines no more than all of them, and no less than the prior; both are from draws.
             assert each.sd <= min(share.alone, share.without)
             assert max(share.alone, share.without) <= quantity.prior_sd
-        # Where one procedure tells nearly all, it alone is about as good as all together.  Of a sum of parameters
-        # another one may tell a member, and of the sum nothing.
+        # If one procedure determines nearly all, it alone is about as good as all together.  Of a sum of parameters
+        # another one may determine a member, and of the sum nothing.
         best = min(each.by, key=lambda share: share.alone)
         single = quantity in summary.derived
         if single and all(share.alone > 0.9 * quantity.prior_sd for share in each.by if share is not best):

@@ -1,4 +1,4 @@
-"""Which folders a fit may write to: a sampled result is replaced only where that is asked for."""
+"""Which folders a fit may write to: a sampled result is replaced only if that is asked for."""
 
 import json
 from pathlib import Path

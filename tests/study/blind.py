@@ -20,7 +20,7 @@ ONE_RUN = ("servo_table", "free_tumble", "static_record")
 
 
 def draw(place: Path, seed: int, kind: str, procedure: str) -> Any:
-    """Draw one campaign into a folder, of one procedure alone where it is named."""
+    """Draw one campaign into a folder, of one procedure alone if it is named."""
     import hidden  # pyright: ignore[reportMissingImports]
     import hidden_servo  # pyright: ignore[reportMissingImports]
 

@@ -59,7 +59,7 @@ class Bench:
 class Case:
     """A campaign to be written: planted effects with S, and what is done to the outputs (rows, K) afterwards.
 
-    `explained` tells which share of S of a cause some effects of the catalogue explain together.
+    `explained` shows which share of S of a cause some effects of the catalogue explain together.
     """
 
     part: str
@@ -80,7 +80,7 @@ def settings() -> Iterator[Setting]:
 
 
 def bench_of(setting: Setting, folder: Path) -> Bench | None:
-    """Draw plan, hidden effect and truth; None where no effect could be shown."""
+    """Draw plan, hidden effect and truth; None if no effect could be shown."""
     random = np.random.default_rng(setting.seed)
     drawn = hidden.PLANS.get(setting.procedure)
     plan = drawn.draw(random) if drawn else hidden.random_plan(setting.procedure, random)
@@ -113,7 +113,7 @@ def _cut(plan: Any, random: np.random.Generator) -> Any:
 
 
 def _planted(bench: Bench, effect: str, size: float, random: np.random.Generator) -> dict[str, Any] | None:
-    """Draw an effect at its typical size times another; None where the plan does not show it."""
+    """Draw an effect at its typical size times another; None if the plan does not show it."""
     where = hidden.places(bench.sight.moments.plan, hidden.CATALOGUE[effect].on, random)
     if not where:
         return None

@@ -32,11 +32,11 @@ from imubayes.foundations.errors import InputError
 
 Line = dict[str, Any]
 SURE, OPEN, SHARE = 0.9, 0.5, 0.05
-"""Probability of what is told as certain, of what is told at all, and the least share of a candidate that counts."""
+"""Probability of a certain finding and of any finding, and the least share of a candidate that counts."""
 BINS = ((0.0, 0.5), (0.5, 0.9), (0.9, 0.98), (0.98, 1.01))
 GOOD = ("right", "equal", "open")
-"""Verdicts of campaigns that need not be kept where a folder is given.  Of others: beside, an effect is named beside a
-form outside the catalogue; equal, of the same shape as the cause; open, no name is told as certain."""
+"""Verdicts of campaigns that need not be kept if a folder is given.  Of others: beside, an effect is named beside a
+form outside the catalogue; equal, of the same shape as the cause; open, no name is reported as certain."""
 
 
 # one campaign
@@ -87,20 +87,20 @@ def named(line: Line) -> list[tuple[dict[str, Any], float]]:
 
 
 def is_it(candidate: dict[str, Any], one: dict[str, Any]) -> bool:
-    """Tell whether a candidate is a planted effect, on one of its channels at least."""
+    """Return whether a candidate is a planted effect, on one of its channels at least."""
     here = not one["channels"] or not candidate["channels"] or set(one["channels"]) & set(candidate["channels"])
     return candidate["effect"] == one["effect"] and bool(here)
 
 
 def planted(line: Line, candidate: dict[str, Any]) -> bool:
-    """Tell whether a candidate is there: planted, or of the same shape as what is."""
+    """Return whether a candidate is there: planted, or of the same shape as what is."""
     return any(is_it(candidate, one) for one in line["planted"]) or candidate["effect"] in line["cause"].get(
         "equal", ()
     )
 
 
 def in_slots(line: Line) -> bool:
-    """Tell whether every planted effect is the first candidate of a slot, or not excluded there."""
+    """Return whether every planted effect is the first candidate of a slot, or not excluded there."""
     listed = [
         each
         for slot in line["slots"]
@@ -111,7 +111,7 @@ def in_slots(line: Line) -> bool:
 
 
 def leading(line: Line) -> str:
-    """Return the likeliest kind of explanation."""
+    """Return the most probable kind of explanation."""
     return max(line["kinds"], key=line["kinds"].get)
 
 
@@ -179,7 +179,7 @@ def _setting(line: Line) -> object:
 
 
 def statements(lines: Iterable[Line]) -> list[tuple[float, bool]]:
-    """Return the probability of every name that is told, and whether it is right."""
+    """Return the probability of every name that is reported, and whether it is right."""
     return [(p, planted(line, each)) for line in lines for each, p in named(line)]
 
 

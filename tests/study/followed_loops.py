@@ -1,8 +1,8 @@
-"""What the loop ends with: hidden effects are diagnosed and added until nothing is suggested, and estimates compared.
+"""The end of the loop: hidden effects are diagnosed and added until nothing is suggested, and estimates compared.
 
     python tests/study/followed_loops.py --first 350001 --count 4     every procedure, a line per campaign, resumed
 
-Campaigns are those of the blind study.  Where the data do not distinguish several effects, all of them are added, as
+Campaigns are those of the blind study.  If the data do not distinguish several effects, all of them are added, as
 `imubayes diagnose` suggests; beside it the loop is followed with the leader of each group alone, which is the planted
 fault: a refit confirms it, and what another member shifts is far off.
 """
@@ -100,7 +100,7 @@ def scores_of(fitted: Any, truth: dict[str, float]) -> dict[str, float]:
 
 
 def attempt(seed: int, procedure: str, until: float) -> Line | None:
-    """Follow the loops on one campaign, None where the time is up; what breaks is a line too."""
+    """Follow the loops on one campaign, None if the time is up; what breaks is a line too."""
     if time.time() > until:
         return None
     try:

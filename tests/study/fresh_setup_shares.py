@@ -5,8 +5,8 @@
     python tests/study/fresh_setup_shares.py FILE FIRST COUNT null         append so many campaigns without a mistake
     python tests/study/fresh_setup_shares.py table FILE...                 print the table
 
-A mistake is named where an error or a warning names the run (or table, mounting, channel) and the quantity; it is
-silent where nothing is said at all.
+A mistake is named if an error or a warning names the run (or table, mounting, channel) and the quantity; it is
+silent if nothing is said at all.
 """
 
 import json
@@ -45,7 +45,7 @@ class Said:
 
 
 def judge(kind: str, seed: int, folder: Path) -> Said | None:
-    """Return what `check` says of a campaign with a mistake of a kind; None where it cannot be made there."""
+    """Return what `check` says of a campaign with a mistake of a kind; None if it cannot be made there."""
     bench = BENCHES[seed % len(BENCHES)]
     write_campaign(folder, bench, seed)
     planted = KINDS[kind](Files(folder), np.random.default_rng([seed, 7])) if kind != "null" else None

@@ -4,7 +4,7 @@
     python tests/study/noise_not_as_modelled.py 20 501      20 replicates from a seed on
 
 `data/accel-channel` from its generator, which shares no code with the package, with noise of another law in place of
-white, normal noise of the same standard deviation (of the same scale where that is infinite).
+white, normal noise of the same standard deviation (of the same scale if that is infinite).
 """
 
 import sys

@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 STORE = ROOT / ".cache" / "reference-chains"
 REPORT = ROOT / "benchmarks" / "results" / "reference_chains.md"
 TIMES = 50
-# Where heavy tails make the default chain itself long, a reference of this length has a fifth of its errors or less.
+# If heavy tails make the default chain itself long, a reference of this length has a fifth of its errors or less.
 MOST_REFERENCE = 700_000
 # Numbers of a piece of a reference chain, and draws of one seed at least.
 PIECE, LEAST_PIECE = 4_000_000, 30_000

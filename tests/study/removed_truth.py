@@ -71,7 +71,7 @@ def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float
 def sized(
     change: Callable[[np.ndarray], np.ndarray], root: np.ndarray, one: np.ndarray, scale: float, response: Any
 ) -> tuple[np.ndarray | None, float]:
-    """Return the whole shift, (E,), as long in units of noise as the linear one, and its size; None where none is.
+    """Return the whole shift, (E,), as long in units of noise as the linear one, and its size; None if none is.
 
     A dead zone of almost no width has a derivative, and hardly any response.
     """
@@ -168,12 +168,12 @@ def study(campaign: str, seed: int, path: Path | None) -> Iterator[Line]:
 
 
 def right(line: Line) -> bool:
-    """Tell whether the effect planted is in a group, as a whole or the strongest."""
+    """Return whether the effect planted is in a group, as a whole or the strongest."""
     return any(line["effect"] in group for group in line["whole"]["groups"])
 
 
 def wrong_name(line: Line) -> bool:
-    """Tell whether, without the effect planted, another one is named alone."""
+    """Return whether, without the effect planted, another one is named alone."""
     return line["without"]["verdict"] == "missing_effect"
 
 

@@ -45,7 +45,7 @@ CASES = {
     "centrifuge": "centrifuge",
     "free_tumble": "desk_imu",
 }
-# Where few runs tell the scatter between runs its tail matters, and the posterior is sampled; elsewhere draws of the
+# If few runs determine the scatter between runs its tail matters, and the posterior is sampled; elsewhere draws of the
 # nested Laplace approximation serve.
 SAMPLED = ("thermal_ramp, current_injection", "reference_gyro")
 
@@ -67,7 +67,7 @@ class Scores:
     """(mean − truth)/sd and whether the 95 % interval holds the truth, for every parameter of every replicate.
 
     `failed` counts fits that did not converge.  `largest` is the largest |score|, of `largest_rank` the normal score of
-    the share of draws below the truth: where the scatter between few runs is unknown the posterior is a mixture of
+    the share of draws below the truth: if the scatter between few runs is unknown the posterior is a mixture of
     narrow and wide distributions, whose standard deviation says little of its tails.
     """
 

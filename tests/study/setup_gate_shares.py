@@ -6,10 +6,10 @@
     python tests/study/setup_gate_shares.py static FILE FIRST COUNT      append so many valid static records
     python tests/study/setup_gate_shares.py table FILE...                print the tables
 
-A file holds one JSON object a line and can be continued with other seeds.  A mistake counts where the outputs tell it
-to a reader of the campaign files, and, in a table of its own, where they tell it to one who knows the law that they
-were drawn from (`tests/campaign/generating_law.py`).  It is named where the message holds its remedy; an angle has
-to be right to within a tolerance, or to three times the uncertainty with which the outputs tell it.
+A file holds one JSON object a line and can be continued with other seeds.  A mistake counts if the outputs show it
+to a reader of the campaign files, and, in a table of its own, if they show it to one who knows the law that they
+were drawn from (`tests/campaign/generating_law.py`).  It is named if the message holds its remedy; an angle has
+to be right to within a tolerance, or to three times the uncertainty with which the outputs determine it.
 """
 
 import json
@@ -43,8 +43,8 @@ class Judged:
     Attributes
     ----------
     mistake : that was planted; empty in a valid campaign.
-    detectable : whether the law that the outputs were drawn from tells the mistake.
-    stated : whether what the campaign files state tells it.
+    detectable : whether the law that the outputs were drawn from determines the mistake.
+    stated : whether what the campaign files state determines it.
     named : whether the message holds the remedy; of a valid campaign, whether a mistake was named.
     stopped : whether the campaign was refused.
     text : what was said in place of the remedy, or of a valid campaign.
@@ -102,7 +102,7 @@ def judge_mistakes(seed: int, folder: Path) -> Iterator[Judged]:
 
 
 def uncertainty(planted: Planted, valid: Path, moved: Path) -> float:
-    """Return the standard deviation, deg, with which what a campaign states tells the angle of a mistake; 0 of none.
+    """Return the standard deviation, deg, of the angle of a mistake by the facts of the campaign; 0 of none.
 
     It follows from χ² with an angle one degree less and one degree more than the valid one.
     """

@@ -48,7 +48,7 @@ class Recovery:
         return (self.found.value - self.truth) / self.found.sd
 
     def inside(self, understate: float = 1.0) -> bool:
-        """Tell whether the 95 % interval holds the truth, or the upper limit is above it.
+        """Return whether the 95 % interval holds the truth, or the upper limit is above it.
 
         Parameters
         ----------

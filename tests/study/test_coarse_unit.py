@@ -56,7 +56,7 @@ class Outcome:
     widened : priors widened for the refit.
     z : (mode − truth)/sd of the refit.
     conflicts : priors that disagree with the data after the refit.
-    pinned : the same where the default prior is kept.
+    pinned : the same if the default prior is kept.
     """
 
     first: tuple[str, ...]

@@ -19,7 +19,7 @@ CASES = {
     "rotation_modulation": (),
     "trihedral_imu": ("rate-pyramid-25C",),
 }
-"""Generator → the runs to take; all where empty."""
+"""Generator → the runs to take; all if empty."""
 
 
 @pytest.mark.slow
@@ -36,6 +36,6 @@ def test_scores_over_draws(case, tmp_path):
         case, len(scores), np.sqrt(np.mean(scores**2)), np.mean([each.inside for each in found]), np.abs(scores).max()
     )
     assert len(found) >= 2 * DRAWS
-    # A standard combination needs no search, and is reported where it is twice as well known as its leading member.
+    # A standard combination needs no search, and is reported if it is twice as well known as its leading member.
     assert all(each.share < (0.5 if each.combination.standard else 0.21) for each in found)
     assert 0.9 < np.sqrt(np.mean(scores**2)) < 1.1

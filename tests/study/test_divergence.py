@@ -1,4 +1,4 @@
-"""What is seen of a hidden effect at unknown noise, against dense matrices."""
+"""Detectability of a hidden effect at unknown noise, against dense matrices."""
 # pyright: reportMissingImports=false
 
 from dataclasses import replace

@@ -23,7 +23,7 @@ from imubayes.model.model_file import read_model
     ],
 )  # fmt: skip
 def test_run_and_quantity_are_named(kind: str, seed: int, quantity: str, tmp_path: Path) -> None:
-    """Of two runs about one axis that is wrong which the prior of the scale factor says, and the other is told, too."""
+    """Of two runs about one axis the prior of the scale factor decides which is wrong; the other is reported, too."""
     folder = tmp_path / "campaign"
     write_campaign(folder, BENCHES[seed % len(BENCHES)], seed)
     planted = KINDS[kind](Files(folder), np.random.default_rng([seed, 7]))

@@ -1,4 +1,4 @@
-"""How often groups, steps and trends of an archive are found, listed right and told apart, and how often invented."""
+"""How often groups, steps and trends of an archive are found, listed right, distinguished, and invented."""
 
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ MISTAKES, VALID = 1000, 420
 
 @pytest.mark.slow
 def test_a_thousand_seeded_mistakes(tmp_path: Path) -> None:
-    """Of 1000 mistakes that the outputs tell to a reader of the campaign files 99 % are named with their remedy."""
+    """Of 1000 mistakes that the outputs show to a reader of the campaign files 99 % are named with their remedy."""
     judged: list[Judged] = []
     seed = 100_000
     while sum(each.stated for each in judged) < MISTAKES:

@@ -1,4 +1,4 @@
-"""What a fit says of its own adequacy, as records: noise against what is known, runs that others do not predict, χ²."""
+"""Records of the adequacy of a fit: noise against what is known, runs that others do not predict, χ²."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ NOISE_AGREES = 1.05
 """A ratio of fitted to recorded noise up to this is agreement, whatever its uncertainty.  Convention: the standard
 deviation of samples is rounded, and the stimulus varies a little within a row.  Larger hides weak structure."""
 _NOISE_TOLD, NOISE_TOLD_SD = 1.3, 3.0
-"""A ratio beyond this, or below its inverse, is told where it exceeds so many standard uncertainties.  Convention."""
+"""A ratio beyond this, or below its inverse, is reported if it exceeds so many standard uncertainties.  Convention."""
 
 NoiseKind = Literal[
     "autocorrelation", "low_frequency", "scatter_between_runs", "grows_with_input", "heavy_tails", "quantisation"

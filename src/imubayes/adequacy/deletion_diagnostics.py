@@ -5,13 +5,13 @@ runs, and no residual is left to reveal it.  Every run is therefore predicted fr
 the fit: white noise is that of the raw samples within rows, and a scatter between runs is no larger than its prior
 says.
 
-About a point the model is linear, y = f + J t + e.  What a run adds to the χ² of all others is the difference of two
-least-squares fits with the priors as further rows (Cook and Weisberg, Residuals and Influence in Regression, 1982).
-Runs and channels are independent of each other, so a run is left out by subtracting its normal equations: the cost
-grows with the number of readings, whatever the number of runs.
+About a point the model is linear, y = f + J t + e.  The contribution of a run to the χ² of all others is the difference
+of two least-squares fits with the priors as further rows (Cook and Weisberg, Residuals and Influence in Regression,
+1982). Runs and channels are independent of each other, so a run is left out by subtracting its normal equations: the
+cost grows with the number of readings, whatever the number of runs.
 
-A run is reported only where the others agree with one another.  Where all runs still scatter, something is missing in
-the model and no run is to blame.  What in the record of a run is wrong is weighed by `weighed_records`, and beside
+A run is reported only if the others agree with one another.  If all runs still scatter, something is missing in
+the model and no run is to blame.  A wrong record of a run is weighed by `weighed_records`, and beside
 effects by `imubayes.criticism.evidence`.
 """
 
@@ -33,7 +33,7 @@ from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, prior_widths
 
 _LEAST_FREEDOM = 5.0
-"""Degrees of freedom of a channel below which it does not tell its noise."""
+"""Degrees of freedom of a channel below which it does not determine its noise."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class WeightedFit:
 
     @property
     def noise_ratios(self) -> np.ndarray:
-        """χ² over degrees of freedom of each channel, (K,), at least 1; of all channels where one has few."""
+        """χ² over degrees of freedom of each channel, (K,), at least 1; of all channels if one has few."""
         whole = self.chi2_of_channels.sum() / max(self.freedom.sum(), _LEAST_FREEDOM)
         few = self.freedom < _LEAST_FREEDOM
         own = self.chi2_of_channels / np.where(few, 1.0, self.freedom)
@@ -184,13 +184,13 @@ def divide(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 _TOLD_P = 0.005
-"""Chance, for all runs together, below which a run is told to disagree (convention)."""
+"""Chance, for all runs together, below which a run is reported to disagree (convention)."""
 
 
 def known_before(fitted: Fit) -> np.ndarray:
-    """Return the noise scales at which runs are judged, in z: as known beforehand, or as fitted where that is less.
+    """Return the noise scales at which runs are judged, in z: as known beforehand, or as fitted if that is less.
 
-    A scatter between runs that is less as fitted tells nothing: beside a gross error white noise takes it all.
+    A scatter between runs that is less as fitted shows nothing: beside a gross error white noise takes it all.
     """
     known, between = known_scales(fitted, correlated=True), scales_between_runs(fitted.model)
     return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
@@ -218,14 +218,14 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
     for run in runs if len(runs) > 1 else ():
         chi2, dof, freedom = _deletion(linear, run)
         f = chi2 / max(dof, 1)
-        # Where the others scatter more than was known their noise is an estimate.
+        # If the others scatter more than was known their noise is an estimate.
         log_p = float(f_log_survival(f, dof, freedom)) if freedom else 0.0
         found[run] = log_p + np.log(len(runs))
     return found
 
 
 def agree(others: WeightedFit, largest: np.ndarray) -> bool:
-    """Tell whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
+    """Return whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
     count = min(len(largest), len(others.weight))  # closing rotations come after the channels
     seen = others.equations.count[:count] > 0
     return bool(np.all(~seen | (others.noise_ratios[:count] <= largest[:count] ** 2)))

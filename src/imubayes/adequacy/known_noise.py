@@ -1,19 +1,19 @@
 """Noise known beforehand, and noise as fitted: a scale that contradicts what is known stands in for something else.
 
 Whatever acts from row to row, or from run to run, and is missing in the model ends in a scale of its noise, and then no
-residual is left to tell.  What is known of a scale before the fit tells.
+residual is left.  Knowledge of a scale from before the fit decides.
 
 - Raw samples: rows carry the standard deviation s of their n samples (`samples` and `<channel>_sd`).  The fit estimates
   the same σ from the scatter *between* rows, and (σ/s)² follows F with the degrees of freedom of both.  Correlated
-  samples scatter the rows more than s/√n says: the excess is real, and what it means is not told.
+  samples scatter the rows more than s/√n says: the excess is real, and what it means is not reported.
 - The prior, which by default holds the noise that the campaign states of the channel: the probability of a larger
   scale.  The mode is drawn towards the median of the prior, so that a true scale exceeds it more rarely than that.
 - The sister channels, those with the same kind of sensor and of scale: with independent estimates the ratio of two
   variances follows F, times the lognormal law by which equal sensors differ.  Scales are compared as multiples of what
   the prior states, and only a scale that exceeds that is doubted.
 
-Of a scale that raw samples tell nothing else counts.  Correlations, slow noise and tails are left to the tests of the
-residuals: their parameters are no sizes of independent noise.
+Of a scale that raw samples determine nothing else counts.  Correlations, slow noise and tails are left to the tests of
+the residuals: their parameters are no sizes of independent noise.
 """
 
 import math
@@ -37,8 +37,8 @@ from imubayes.parameters.priors import HalfNormal
 
 SISTERS_LOG_SD = 0.5
 """Standard deviation of the logarithm of a scale among equal sensors, as in the default prior of white_noise.
-Convention: with it a scatter of five runs is told from 12 times that of two sisters, one of many runs from 8 times.
-Scales drawn from half-normal priors, each by itself, differ more: then one campaign in a hundred is told."""
+Convention: with it a scatter of five runs is distinguished from 12 times that of two sisters, one of many runs from 8
+times. Scales drawn from half-normal priors, each by itself, differ more: then one campaign in a hundred is reported."""
 _SISTERS_FREEDOM_MIN = 0.5
 """Fewest degrees of freedom between runs for such a comparison.  Numerical: below, a variance is rounding."""
 _NOISE_FREEDOM_MIN = 5.0
@@ -88,7 +88,7 @@ class KnownNoise:
 class SampleNoise:
     """Standard deviation of one raw sample within rows, with its degrees of freedom.
 
-    `varying`: the stimulus varies within every row that tells, and adds to it.
+    `varying`: the stimulus varies within every row that counts, and adds to it.
     """
 
     sd: float
@@ -177,7 +177,7 @@ class _FittedRows:
         )  # fmt: skip
 
     def estimate(self, channel: int) -> _ScaleEstimate | None:
-        """Return what the scatter of rows says of one raw sample; None where they are too few to tell."""
+        """Return what the scatter of rows says of one raw sample; None if they are too few."""
         here, (chi2, freedom) = self.of(channel), _within(self.projection, channel)
         if not here.any() or freedom < _NOISE_FREEDOM_MIN:
             return None
@@ -208,7 +208,7 @@ def _rows_of(projection: Projection) -> _FittedRows:
 def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """Return the noise scales that were known beforehand, in z, shape (H,).
 
-    White noise as the raw samples tell; where they do not, and of every other noise, that of turns included, what the
+    White noise as the raw samples determine; if they do not, and of every other noise, that of turns included, what the
     prior states.  Of what is no noise, and of the motion of a hand, nothing is known, and the fit stands.
 
     Parameters
@@ -236,7 +236,7 @@ def scales_between_runs(model: Model) -> np.ndarray:
 def largest_scatter(model: Model) -> np.ndarray:
     """Return the factor on the known noise of each channel up to which its rows agree with it, (K,).
 
-    Raw samples tell white noise nearly; a prior, within two of its standard deviations.
+    Raw samples determine white noise nearly; a prior, within two of its standard deviations.
     """
     found, records = np.full(len(model.campaign.channels), _RUNS_AGREE), sample_noise(model)
     for parameter, member, place in noise_scales(model):
@@ -256,13 +256,13 @@ def _known_size(parameter: Parameter, record: SampleNoise | None) -> float:
 
 
 def stated(parameter: Parameter) -> float:
-    """Return the size that a prior states, in the parameter's unit: its scale where it reaches down to zero."""
+    """Return the size that a prior states, in the parameter's unit: its scale if it reaches down to zero."""
     prior = parameter.prior
     return float(prior.scale) / parameter.factor if isinstance(prior, HalfNormal) else parameter.value_at(0.0)
 
 
 def noise_scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
-    """Return each noise scale with its class and the place of its channel; None where it has no channel."""
+    """Return each noise scale with its class and the place of its channel; None if it has no channel."""
     places = {channel.name: place for place, channel in enumerate(model.campaign.channels)}
     members = {each.name: each.effect_class for each in model.assembly.effects}
     return [
@@ -393,7 +393,7 @@ def _white_variances(problem: Problem, h: np.ndarray) -> np.ndarray:
 
 
 def sample_noise(model: Model) -> dict[int, SampleNoise]:
-    """Return what the raw samples within rows tell of the noise of each channel, by its place."""
+    """Return what the raw samples within rows show of the noise of each channel, by its place."""
     found, single = dict[int, SampleNoise](), _single_nodes(model)
     first = np.cumsum([0, *(run.rows for run in model.campaign.runs)])
     for channel in range(len(model.campaign.channels)):

@@ -60,7 +60,7 @@ class KnownNoisePoint:
     z: np.ndarray
 
     def with_columns(self, columns: np.ndarray, white: np.ndarray | None = None) -> "KnownNoisePoint":
-        """Return the same with further responses (E, C) fitted, without a prior; `white`, where they are at hand."""
+        """Return the same with further responses (E, C) fitted, without a prior; `white`, if they are at hand."""
         if white is None:
             white = whitened_columns(self.model.problem, self.h, columns)
         fresh = np.concatenate([white, np.zeros((len(self.left) - len(white), columns.shape[1]))])

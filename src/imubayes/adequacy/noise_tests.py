@@ -30,7 +30,7 @@ _STRONGEST_ANTICORRELATION = 0.95
 """Bound of the estimated negative noise statistic (a correlation cannot be −1).  Numerical."""
 
 _LEAST_FREEDOM = 3.0
-"""Degrees of freedom of the entries below which nothing is said of their noise.  Convention: where parameters describe
+"""Degrees of freedom of the entries below which nothing is said of their noise.  Convention: if parameters describe
 every reading, as in six poses of a triad, the residual is that of the priors and of rounding."""
 
 OUTLIERS = "outliers"
@@ -140,7 +140,7 @@ def screen_noise(
         p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
         value = float(np.clip(values[0] - mean, -_STRONGEST_ANTICORRELATION, None))
         found.append(NoiseCandidate(effect, names, value, p, max(z, 0.0) ** 2))
-    # p-values have a floor: where several are at it, the drop decides.
+    # p-values have a floor: if several are at it, the drop decides.
     return sorted(found, key=lambda candidate: (candidate.p, -candidate.drop))
 
 
@@ -199,8 +199,8 @@ _FALSE_ALARM_INTERVALS = 0.006
 for the 1 % that is asked for: with 200 draws a nominal 0.005 is 0.003 to 0.008 in five campaigns of 4800 draws each,
 0.01 is 0.006 to 0.013."""
 _SUSPECTED_INTERVALS_P = 0.05
-"""Above it and below this a departure is told as suspected.  Convention: one sound fit in twenty carries the notice; of
-fits to a random walk of 0.3 of the noise from row to row, half are above the first and most below this."""
+"""Above it and below this a departure is reported as suspected.  Convention: one sound fit in twenty carries the
+notice; of fits to a random walk of 0.3 of the noise from row to row, half are above the first and most below this."""
 _SLOW_MODES = 4
 """Lowest frequencies of each run that count as slow.  Convention: fewer find only drifts, more lose them in the
 rest."""
@@ -209,7 +209,7 @@ _COARSE_STEP = 2.0
 step q makes q²/12, q > 2σ leaves true noise below 0.41 q, whose rounding error follows the input (Widrow & Kollár
 2008)."""
 _COINCIDENT_SHARE, _GRID_SHARE, _GRID_ROUNDING = 0.2, 1e-3, 1e-12
-"""Outputs lie on a grid where this share of them coincide, their distances are multiples of a step to this share of it,
+"""Outputs lie on a grid if this share of them coincide, their distances are multiples of a step to this share of it,
 and the step is above this rounding of the largest output.  Numerical."""
 
 SLOW = "slow"
@@ -290,7 +290,7 @@ def _quantised(projection: Projection) -> list[NoiseViolation]:
 
 
 def grid_step(values: np.ndarray) -> float:
-    """Return the step of the grid that values lie on; 0 where they lie on none, or too few coincide to tell."""
+    """Return the step of the grid that values lie on; 0 if they lie on none, or too few coincide."""
     levels = np.unique(values)
     if len(levels) < 2 or len(values) - len(levels) < _COINCIDENT_SHARE * len(values):
         return 0.0

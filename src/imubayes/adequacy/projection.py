@@ -1,6 +1,6 @@
 """Residuals, whitened and projected on the complement of what the model can absorb.
 
-Rows are the measured entries, then one pseudo-entry per prior.  Where the offset of a run and channel is noise, a
+Rows are the measured entries, then one pseudo-entry per prior.  If the offset of a run and channel is noise, a
 Householder reflection makes their common direction, the offset, a row of its own.  Rows fall into *strata*, each with
 its own noise scale: the scatter within runs of a channel, the scatter between its runs, the prior.  A missing effect
 has inflated the noise of the strata it acts in; judging it needs their scale without it.
@@ -18,7 +18,7 @@ from imubayes.model.noise_covariance import noise_distribution, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 
 _OFFSET_INFLATION = 1.2
-"""A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.
+"""A run offset is a stratum of its own if it inflates the variance of the run's mean by more than this factor.
 Convention: smaller makes more between-run strata, each with few degrees of freedom and little power."""
 
 PRIOR = -1

@@ -1,7 +1,7 @@
-"""What a set-up check found in the record of runs, weighed against the model of the user as well.
+"""Findings of the set-up check in the record of runs, weighed against the model of the user as well.
 
 The check weighs a wrong record against plausible errors of a unit, a fit against its model.  Both weigh the same
-hypotheses (`foundations.wrong_records`): where they name the same, one finding says so, and where they do not, it says
+hypotheses (`foundations.wrong_records`): if they name the same, one finding says so, and if they do not, it says
 both.
 """
 
@@ -66,7 +66,7 @@ def _said(record: WrongRecord, own: DoubtedRun | None, others: Sequence[str]) ->
 
 
 def _found(doubted: DoubtedRun) -> Finding:
-    """Return a run that only the model tells to disagree with the others."""
+    """Return a run that only the model shows to disagree with the others."""
     causes = doubted.causes
     what = f"the other runs do not predict run '{doubted.run}' at the noise known before the fit"
     remedy = "`imubayes diagnose` of the fit weighs missing effects beside wrong records"

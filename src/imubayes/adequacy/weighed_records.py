@@ -1,11 +1,11 @@
-"""What was recorded wrongly in a run, weighed against the model of the user at the noise known beforehand.
+"""A wrong record of a run, weighed against the model of the user at the noise known beforehand.
 
 A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.
 Every suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated
 beside it anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or
-larger where the residuals say so, which keeps what the model lacks from being told as a wrong record.
+larger if the residuals say so, which keeps what the model lacks from being reported as a wrong record.
 
-`fit` says the likeliest beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
+`fit` says the most probable beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
 """
 
 import math
@@ -43,14 +43,15 @@ _DOUBTED = 4
 """Runs that agree least with the others, whose records are weighed."""
 _ROUNDS, _REWEIGHED = 5, 3
 _FEWER, _LOG_COUNTS = 4.0, 4.0
-"""Least ratio of stated to true samples that is told, and the standard deviation of its logarithm beforehand."""
+"""Least ratio of stated to true samples that is reported, and the standard deviation of its logarithm beforehand."""
 _FEW_ROWS, _TYPICAL, _ALIKE = 6, 0.15, 6.0
-"""Rows of a channel that tell its scatter; least median over mean of their squares, 0.45 of white noise, below which
-single rows make it; and the largest ratio of mean squares between channels.  Convention: beyond chance in 12 rows."""
+"""Rows of a channel that determine its scatter; least median over mean of their squares, 0.45 of white noise, below
+which single rows make it; and the largest ratio of mean squares between channels.  Convention: beyond chance in 12
+rows."""
 _DISAGREES = math.log(0.005)
 """Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
 _TOLD, NEAR = 10.0, 3.0
-"""Log odds from which a wrong record is told, and within which of the likeliest another cannot be told from it."""
+"""Log odds from which a wrong record is reported, and within which it is not distinguished from the most probable."""
 _PRIOR_ODDS = math.log(0.05)
 """Of a wrong record in the campaign, shared by those that are weighed.  Convention, as in a diagnosis."""
 
@@ -76,9 +77,9 @@ class WeighedRecord:
 
 
 def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
-    """Return the errors of the record that are likelier than the record as it is, the likeliest first.
+    """Return the errors of the record that are likelier than the record as it is, the most probable first.
 
-    Empty where the runs agree with one another.
+    Empty if the runs agree with one another.
     """
     return _weighed(_Weighing(fitted)) if fitted.optimised else ()
 
@@ -109,9 +110,9 @@ def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
 def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     """Return the runs that the others do not predict, and what in their record would make them agree.
 
-    Where an error of the record is likelier than the record as it is, and all runs agree with it corrected, the run of
-    the likeliest is told, with what the runs cannot tell from it; else the runs without which the others agree with one
-    another.  Where they do not, something is missing in the model and no run is to blame.
+    If an error of the record is likelier than the record as it is, and all runs agree with it corrected, the run of
+    the most probable is reported, with what the runs cannot distinguish from it; else the runs without which the others
+    agree with one another.  If they do not, something is missing in the model and no run is to blame.
     """
     if not fitted.optimised:
         return ()
@@ -211,7 +212,7 @@ class _Weighing:
         return np.sqrt(noise_distribution(self.model.problem, self.h).squared_scale[entries])
 
     def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
-        """Return an error of the record at its best size; None where it explains nothing."""
+        """Return an error of the record at its best size; None if it explains nothing."""
         if wrong.form == "unit":
             return self._of_other_unit(wrong)
         if wrong.form == "samples":
@@ -244,7 +245,7 @@ class _Weighing:
         return _WIDTHS.get(COVARIATES[wrong.covariate].si, RATIO) if wrong.form == "offset" else RATIO
 
     def _at(self, wrong: WrongInput, size: np.ndarray, z: np.ndarray, free: bool) -> WeighedRecord | None:
-        """Return the record corrected by about a size, which is estimated beside parameters near z where it is free."""
+        """Return the record corrected by about a size, which is estimated beside parameters near z if it is free."""
         campaign = wrong.corrected(self.model.campaign, size)
         problem = problem_of(self.model, campaign)
         if problem is None:
@@ -257,7 +258,7 @@ class _Weighing:
             response = Predictions(self.model, z).response(wrong, campaign)
             if response is None:
                 return None
-            # Of an exchange 1 is the name, and the estimate tells whether it is one.
+            # Of an exchange 1 is the name, and the estimate determines whether it is one.
             centre = 1.0 if wrong.form == "exchange" else 0.0
             linear = _beside(linear, divide(problem, self.h, response), response, self._width(wrong), centre - size)
         fit, evidence = _evidence(linear)
@@ -281,7 +282,7 @@ class _Weighing:
     def _of_samples(self, wrong: WrongInput) -> WeighedRecord | None:
         """Return that rows are means of fewer samples than stated: the noise of the run is larger by one ratio.
 
-        None where it is not white, or not alike on all channels: something else makes it.
+        None if it is not white, or not alike on all channels: something else makes it.
         """
         here, ratio = self.stated.runs[wrong.run], 1.0
         fit, evidence, chi2 = self._at_fewer_samples(here, ratio)

@@ -99,7 +99,7 @@ def keep_beside(result: Result, progress: Callable[[str], None]) -> None:
 
 
 def _checkpoint(model: Model, folder: Path | None) -> Path | None:
-    """Return the file that sampling is resumed from; raise where data or effects are in no file to read again."""
+    """Return the file that sampling is resumed from; raise if data or effects are in no file to read again."""
     if folder is None:
         return None
     issues = [
@@ -145,7 +145,7 @@ def bound(
     population: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Model:
-    """Return a model bound to a campaign, each read from its file where it is not in memory.
+    """Return a model bound to a campaign, each read from its file if it is not in memory.
 
     Its priors are the population of a batch if the results folder of one is given.
     """

@@ -280,11 +280,11 @@ def _changed(
     progress: Callable[[str], None] | None,
     log_odds: float | None = None,
 ) -> ModelChange:
-    """Return a change of a model, kept in a result folder and in the history where there is one.
+    """Return a change of a model, kept in a result folder and in the history if there is one.
 
     Parameters
     ----------
-    make : makes the refit; it is called with what tells the progress.
+    make : makes the refit; it is called with a function that reports the progress.
     sampling : of a refit that is taken; None for the Laplace approximation.
     log_odds : of effects removed.
     """
@@ -336,7 +336,7 @@ def _named(
 
 
 def _sampled(refit: Refit, folder: Path | None, sampling: Settings, tell: Callable[[str], None]) -> Refit:
-    """Return the refit with its posterior sampled; where an earlier call was interrupted, its sampling is resumed."""
+    """Return the refit with its posterior sampled; if an earlier call was interrupted, its sampling is resumed."""
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT if folder is not None else None

@@ -27,7 +27,7 @@ DIRECTION_COLUMNS = ("i_axis", "o_axis")
 def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Channel]) -> np.ndarray:
     """Return the rotation from body to local level at the given rows of a table, shape (len(rows), 3, 3).
 
-    The axes are those of the campaign's first gyro, or of its first channel where it has none.
+    The axes are those of the campaign's first gyro, or of its first channel if it has none.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class Tables(Protocol):
         ...
 
     def check(self, run: RunEntry, index: int, ledger: Ledger) -> None:
-        """Add an issue where a run, the index-th, has no table."""
+        """Add an issue if a run, the index-th, has no table."""
         ...
 
     def digest(self, entry: CampaignFile) -> str:
@@ -226,7 +226,7 @@ def inspect_document(document: Document[CampaignFile], tables: Tables, *, judge_
 def _judge_rows(
     loaded: Sequence[Loaded], entries: Sequence[RunEntry], tables: Tables, equipment: Equipment | None
 ) -> None:
-    """Leave out what is clipped, which all runs together tell, and check what each run then holds."""
+    """Leave out what is clipped, which all runs together determine, and check what each run then holds."""
     if equipment is None:
         return
     files = [tables.place(entry) for entry in entries]
@@ -244,7 +244,7 @@ def _judge_rows(
 
 
 def _add_to_runs(loaded: Sequence[Loaded], entries: Sequence[RunEntry], between: Sequence[Finding]) -> None:
-    """Add what runs tell of each other to the first that it concerns; a wrong unit of time makes turns look short."""
+    """Add findings from comparing runs to the first that it concerns; a wrong unit of time makes turns look short."""
     for finding in between:
         place = next((k for k, entry in enumerate(entries) if entry.name == finding.run), 0)
         loaded[place].findings.append(finding)
@@ -264,7 +264,7 @@ def _await_the_gate(loaded: Sequence[Loaded], findings: Sequence[Finding]) -> bo
 
 
 def _explains_units(finding: Finding) -> bool:
-    """Whether a finding is what looks like wrong units in single runs; of a channel in all runs one mistake is told."""
+    """Whether a finding looks like wrong units in single runs; of a channel in all runs one mistake is reported."""
     like = finding.name in LIKE_UNITS or (finding.name in ("channel_unit", "rate_unit") and not finding.run)
     return like and finding.severity == "error"
 

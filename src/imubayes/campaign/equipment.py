@@ -192,7 +192,7 @@ def check_references(run: RunReferences, index: int, names: Mapping[str, Sequenc
 
 
 def require_current_scale(channels: Iterable[ChannelEntry], run: int, ledger: Ledger) -> None:
-    """Add an issue, at the run of that index, where no channel states its current per acceleration."""
+    """Add an issue, at the run of that index, if no channel states its current per acceleration."""
     if not any(channel.current_mA_per_g for channel in channels):
         ledger.add(
             "a current is injected, but no channel has 'current_mA_per_g'",
@@ -300,7 +300,7 @@ ANGLE, ANGLE_UNIT = "table_angle", "deg"
 def with_angles(
     channels: tuple[Channel, ...], runs: Sequence[Run], tables: Mapping[str, Table]
 ) -> tuple[tuple[Channel, ...], tuple[Run, ...]]:
-    """Return channels and runs with the table angle as an additional channel, where a gyro drives a table.
+    """Return channels and runs with the table angle as an additional channel, if a gyro drives a table.
 
     The gyro outputs of such a run are the servo error and are excluded.
     """

@@ -441,7 +441,7 @@ FORMS = {
     "instruments": "a table [instruments]",
     "optional": "true or false, without quotes",
 }
-"""Key → form of its value, where the type alone does not describe it."""
+"""Key → form of its value, if the type alone does not describe it."""
 
 
 @dataclass(frozen=True)

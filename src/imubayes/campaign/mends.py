@@ -1,6 +1,6 @@
 """Mends of a campaign that need no fact: spellings of keys, words and columns, and the order of rows in time.
 
-A key or a word is mended where it is one that is allowed but for capitals, blanks, hyphens and underscores; a column of
+A key or a word is mended if it is one that is allowed but for capitals, blanks, hyphens and underscores; a column of
 a run table likewise; rows are put in order of time.  Everything else needs somebody who knows, and is left to `check`.
 """
 
@@ -57,7 +57,7 @@ def _plain(word: str) -> str:
 
 
 def _allowed(word: str, words: Sequence[str]) -> str | None:
-    """Return the only allowed word that a word is but for its spelling; None where it is one, or no one is."""
+    """Return the only allowed word that a word is but for its spelling; None if it is one, or no one is."""
     near = [each for each in dict.fromkeys(words) if _plain(each) == _plain(word)]
     return near[0] if len(near) == 1 and near[0] != word else None
 

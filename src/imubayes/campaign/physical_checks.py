@@ -178,7 +178,7 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
 
 
 def _rate_unit(slope: float) -> str:
-    """Return the unit in which the rate column would explain the response of a gyro; empty where there is none."""
+    """Return the unit in which the rate column would explain the response of a gyro; empty if there is none."""
     units = {"rad/s": 1 / DEGREE, "deg/h": 1 / 3600, "rad/h": 1 / DEGREE / 3600}
     return next((unit for unit, size in units.items() if abs(abs(slope) / size - 1) < SAME_FACTOR), "")
 

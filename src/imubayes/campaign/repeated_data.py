@@ -1,6 +1,6 @@
 """Data that are read twice: two runs of one file, or with the same outputs in many rows.
 
-Noise tells readings apart.  That a run repeats the readings of another one by chance has a probability that follows
+Noise distinguishes readings.  That a run repeats the readings of another one by chance has a probability that follows
 from the resolution of the outputs and from their noise.
 """
 
@@ -20,7 +20,7 @@ LEAST_ALIKE, LEAST_SHARE_ALIKE = 3, 0.5
 SURPRISE = 30.0
 """−log of the probability that they are by chance."""
 _UNKNOWN, _LARGEST = 0.5, 0.9
-"""Probability that two readings are alike where their noise is not known, and of coarse ones."""
+"""Probability that two readings are alike if their noise is not known, and of coarse ones."""
 _MOST_DECIMALS = 12
 
 
@@ -57,7 +57,7 @@ class _Compared:
 
 
 def _rows_alike(first: _Compared, second: _Compared, channels: Sequence[Channel], both: np.ndarray) -> int:
-    """Return the number of rows of the second run that are in the first, 0 where that may be by chance."""
+    """Return the number of rows of the second run that are in the first, 0 if that may be by chance."""
     varying = tuple(np.flatnonzero(both & first.varying).tolist())
     if not varying or first.known(varying).isdisjoint(second.known(varying)):
         return 0

@@ -200,7 +200,7 @@ class Loaded:
 
     @property
     def readable(self) -> bool:
-        """Whether nothing but a wrong unit is wrong: all runs together tell what made it look like one."""
+        """Whether nothing but a wrong unit is wrong: all runs together show what made it look like one."""
         wrong = {finding.name for finding in self.findings if finding.severity == "error"}
         return not self.issues and wrong <= {*UNIT_FINDINGS}
 
@@ -263,7 +263,7 @@ def judge_rows(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str
 
     Parameters
     ----------
-    loaded : changed in place; its run becomes None where an error makes it unusable.
+    loaded : changed in place; its run becomes None if an error makes it unusable.
     where : the table, for the findings.
     """
     try:

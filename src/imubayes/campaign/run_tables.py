@@ -328,7 +328,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
 def has_decimal_comma(cell: str) -> bool:
-    """Tell whether a cell is a number with a decimal comma."""
+    """Return whether a cell is a number with a decimal comma."""
     return _DECIMAL_COMMA.fullmatch(cell.strip()) is not None
 
 
@@ -459,9 +459,9 @@ def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowB
 
 
 def _numbers(column: pa.Array) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of a column, NaN where there is none, and where there is one, (rows,) each.
+    """Return the numbers of a column, NaN where there is none, and if there is one, (rows,) each.
 
-    Arrow's own conversion to NumPy imports pandas where that is installed, and `cast` the whole of `pyarrow.compute`:
+    Arrow's own conversion to NumPy imports pandas if that is installed, and `cast` the whole of `pyarrow.compute`:
     it is left to columns that are not doubles already.
     """
     doubles = column if column.type == pa.float64() else column.cast(pa.float64())

@@ -72,7 +72,7 @@ class Timed:
         return (step > SLOW_STEP and sample > SLOW_SAMPLE and not soaks) or (step > SLOWEST_STEP and not soaks)
 
     def too_fast(self, unit: float = 1.0) -> str:
-        """Return what takes more time than the rows of the run, its times in a unit; empty where they have it."""
+        """Return what takes more time than the rows of the run, its times in a unit; empty if they have it."""
         step = self.step * unit
         if self.samples >= LEAST_SAMPLES and step / self.samples < FAST_SAMPLE:
             return f"{self.samples:g} samples"
@@ -164,7 +164,7 @@ def _step(time: np.ndarray) -> float:
 
 
 def _unit_of(timed: Timed, others: Sequence[Timed]) -> str:
-    """Return the unit in which the times of a run are as in a laboratory; empty where seconds are."""
+    """Return the unit in which the times of a run are as in a laboratory; empty if seconds are."""
     possible = [name for name, unit in UNITS.items() if not timed.odd(unit)]
     if not math.isnan(timed.step) and timed.odd():
         longer = [name for name in possible if (UNITS[name] < 1) == timed.slow()]

@@ -14,8 +14,9 @@ from imubayes.foundations.campaign_data import Channel, Run
 _SAME = math.log(1.5)
 """Logarithm of the ratio of two deviations up to which they are one: noise is stated to tens of per cent."""
 _FEWEST, _MORE_SAMPLES = 9.0, math.log(8.0)
-"""Samples of a row from which its standard error is told from its deviation.  Logarithm of how many times as many
-samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the logger."""
+"""Samples of a row from which its standard error can be distinguished from its deviation.  Logarithm of how many times
+as many samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the
+logger."""
 _SISTERS, _ALIKE = 2, math.log(1.3)
 
 
@@ -99,7 +100,7 @@ def _counts(runs: Sequence[Run], where: Sequence[str]) -> Iterator[Finding]:
 
 
 def _samples_a_second(run: Run) -> float:
-    """Return the samples over the time from row to row; 0 where it is not known."""
+    """Return the samples over the time from row to row; 0 if it is not known."""
     time = run.covariates.get("time")
     if time is None or run.rows < 3 or run.tumble is not None:
         return 0.0

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 else:
     reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
 
-LEAST_ROWS = 5  # of a channel, to tell a limit
+LEAST_ROWS = 5  # of a channel, to determine a limit
 EQUAL_OUTPUT = 1e-9  # of the range of the outputs
 OTHER_INPUT = 0.02  # of the range of the inputs
 SHORT_OF_LINE = 0.01  # of the range of the outputs; a coarse output without scatter at rest lies on the line
@@ -86,12 +86,12 @@ def _stimulus(run: Run, channel: Channel, equipment: Equipment) -> np.ndarray:
     try:
         stimulus = PROCEDURES[run.procedure].nominal_input(run, channel, equipment.site, table, mounting)
     except InputError:
-        stimulus = None  # what the equipment lacks is told where the rows are judged
+        stimulus = None  # what the equipment lacks is reported where the rows are judged
     return np.full(run.rows, np.nan) if stimulus is None else stimulus
 
 
 def _scatter(runs: Sequence[Run], place: int) -> float:
-    """Return the median standard deviation of the samples of a channel; 0 where none is recorded."""
+    """Return the median standard deviation of the samples of a channel; 0 if none is recorded."""
     recorded = np.concatenate([run.sample_sd[:, place] for run in runs])
     return float(np.median(recorded[np.isfinite(recorded)])) if np.isfinite(recorded).any() else 0.0
 

@@ -230,7 +230,7 @@ class _Repeat:
 
 
 def sampling_interval(time: np.ndarray | None) -> float | None:
-    """Return the median positive step of a time column, s; None where there is none."""
+    """Return the median positive step of a time column, s; None if there is none."""
     steps = np.diff(time) if time is not None else np.zeros(0)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else None

@@ -121,7 +121,7 @@ def spell(path: KeyPath) -> str:
 
 @dataclass(frozen=True)
 class Document[Record: BaseModel]:
-    """A TOML file as read: its content, the record (None where invalid) and the issues found."""
+    """A TOML file as read: its content, the record (None if invalid) and the issues found."""
 
     content: dict[str, Any]
     entry: Record | None

@@ -45,7 +45,7 @@ def check(
     campaign
         Folder with campaign.toml.
     model
-        Model file to check against the campaign, or the name of a shipped model. What is wrong in the record of a run
+        Model file to check against the campaign, or the name of a shipped model. A wrong record of a run
         is weighed against it as well, as in a fit.
     fix
         Folder to write: a copy with the corrections that need no further fact (spelling of keys, words and columns,
@@ -81,7 +81,7 @@ def check(
 
 
 def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel | None]":
-    """Return the inspection of a campaign and the size of the model bound to it; None where it cannot be used."""
+    """Return the inspection of a campaign and the size of the model bound to it; None if it cannot be used."""
     from imubayes.campaign import inspect_campaign
     from imubayes.display.check_report import CheckedModel
 

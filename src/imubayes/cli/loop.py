@@ -83,7 +83,7 @@ def add(
 
 
 def print_change(change: "ModelChange", as_json: bool, verbose: bool) -> int:
-    """Print what a change of a model brought; return the exit status: 0 where the refit is taken, else 1."""
+    """Print what a change of a model brought; return the exit status: 0 if the refit is taken, else 1."""
     from imubayes.display.loop.change_report import change_report, next_command
 
     record = change.model_dump(mode="json") | {"next": next_command(change)}
@@ -143,7 +143,7 @@ def diagnose(
 
 
 def _pictures(result: Path, identity: str, found: "Diagnosis") -> list[Path]:
-    """Draw what the diagnosis rests on; Matplotlib is imported where there is something to draw."""
+    """Draw what the diagnosis rests on; Matplotlib is imported if there is something to draw."""
     from imubayes.foundations.errors import kept_if_possible
     from imubayes.results.folder_files import DIAGNOSIS_PICTURE, FIGURES, NOISE_PICTURE, same_fit
 

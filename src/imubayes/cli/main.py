@@ -141,7 +141,7 @@ def _telling_what_is_not_kept() -> Iterator[None]:
             warnings.simplefilter("always", NotKept)
             warnings.showwarning = show
             yield
-    finally:  # also where the command fails after it
+    finally:  # also if the command fails after it
         for line in lines.values():
             print(line.translate(_CONTROL), file=sys.stderr)
 

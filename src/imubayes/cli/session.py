@@ -1,4 +1,4 @@
-"""What the commands share: start-up of JAX, progress display, options, JSON output.
+"""Shared by all commands: start-up of JAX, progress display, options, JSON output.
 
 Computing commands start with double precision, a persistent compilation cache and a progress display.
 """
@@ -73,7 +73,7 @@ def trusting(place: Path | None, trust: bool) -> None:
 
 
 def progress(text: str = "loading") -> AbstractContextManager[Callable[[str], None]]:
-    """Show what goes on, on standard error, from the first second on; yield a function that tells the step.
+    """Show what goes on, on standard error, from the first second on; yield a function that reports the step.
 
     Enter it before what takes long to import, and print nothing to standard error within.
     """
@@ -104,7 +104,7 @@ def numbers_apart(words: Sequence[str]) -> list[str]:
 
 
 def _numbers(word: str) -> list[str]:
-    """Return the numbers of a word, which commas separate; none where it is anything else."""
+    """Return the numbers of a word, which commas separate; none if it is anything else."""
     parts = word.strip("[]()").split(",")
     try:
         return parts if all(math.isfinite(float(part)) for part in parts) else []

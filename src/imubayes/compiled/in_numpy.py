@@ -67,7 +67,7 @@ _programs: dict[Any, _TracedFunction | None] = {}
 
 
 def in_numpy[**P, R](function: Callable[P, R], most_values: int | None = None) -> Callable[P, R]:
-    """Return a function of JAX that NumPy evaluates; where it cannot, and in a trace of another, as `kept` does.
+    """Return a function of JAX that NumPy evaluates; if it cannot, and in a trace of another, as `kept` does.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ Pushed = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 
 
 def linearised_in_numpy(function: Callable[..., Any], *arguments: Any) -> Pushed | None:
-    """Return f(x) and the map v → ∂f/∂x·v, x the last argument; None where NumPy cannot evaluate it.
+    """Return f(x) and the map v → ∂f/∂x·v, x the last argument; None if NumPy cannot evaluate it.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def linearised_in_numpy(function: Callable[..., Any], *arguments: Any) -> Pushed
 def _traced(
     function: Callable, with_derivative: bool, given: Arguments, most_values: int | None = None
 ) -> _TracedFunction | None:
-    """Return the program of a function for arguments like these; None where NumPy cannot evaluate it."""
+    """Return the program of a function for arguments like these; None if NumPy cannot evaluate it."""
     key = (function, with_derivative, given.kinds, config.trace_context())
     if key in _programs:
         _programs[key] = _programs.pop(key)  # used last
@@ -177,7 +177,7 @@ def _read(file: Path) -> _TracedFunction | None:
 
 
 def _write(file: Path, program: _TracedFunction) -> None:
-    """Keep a program, where the sources are still those that it was made of."""
+    """Keep a program, if the sources are still those that it was made of."""
     try:
         content = pickle.dumps(_TracedFunction(program.program, program.skeleton))
     except (TypeError, AttributeError, pickle.PicklingError):

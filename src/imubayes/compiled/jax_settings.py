@@ -34,7 +34,7 @@ def prepare_jax(command: str = "") -> None:
     Raises
     ------
     InputError
-        where JAX has computed in single precision already: arrays made then would stay so.
+        if JAX has computed in single precision already: arrays made then would stay so.
     """
     if not jax.config.jax_enable_x64:
         if backends_are_initialized():
@@ -51,7 +51,7 @@ def prepare_jax(command: str = "") -> None:
 
 
 def _own_folder(name: str) -> Path | None:
-    """Return a folder for compiled code that belongs to the user alone (mode 0700); None where it cannot be made."""
+    """Return a folder for compiled code that belongs to the user alone (mode 0700); None if it cannot be made."""
     home = os.environ.get("XDG_CACHE_HOME")
     folder = (Path(home) if home else Path.home() / ".cache") / "imubayes" / name
     try:
@@ -89,7 +89,7 @@ _FULL = 0.5
 
 
 def clear_if_crowded() -> bool:
-    """Clear the caches of compiled functions where half of the memory maps are in use; return whether it was done."""
+    """Clear the caches of compiled functions if half of the memory maps are in use; return whether it was done."""
     try:
         most = int(_MOST.read_text())
         with _HELD.open("rb") as file:

@@ -76,7 +76,7 @@ def keep_programs(folder: Path | None, purpose: str = "") -> None:
 
     Parameters
     ----------
-    purpose : the command that is running: what it used the last time is loaded ahead; nothing where it is empty.
+    purpose : the command that is running: what it used the last time is loaded ahead; nothing if it is empty.
     """
     _Folder.place = None if os.environ.get(SWITCH) == "0" else folder
     if purpose and _Folder.place is not None:
@@ -84,7 +84,7 @@ def keep_programs(folder: Path | None, purpose: str = "") -> None:
 
 
 def programs_folder() -> Path | None:
-    """Return the folder in which programs are kept; None where they are not."""
+    """Return the folder in which programs are kept; None if they are not."""
     return _Folder.place
 
 
@@ -158,8 +158,8 @@ def run_bound(key: tuple, function: Callable, arrays: list[Any], arguments: Call
 
     Parameters
     ----------
-    key : by which the process finds the program, for less than it costs to take the arguments apart: it tells the
-        arguments from all others, but for the values of their arrays.
+    key : by which the process finds the program, for less than it costs to take the arguments apart: it distinguishes
+        the arguments from all others, but for the values of their arrays.
     function : as for `kept`.
     arrays : all arrays of the arguments, in the order of their leaves.
     arguments : gives the arguments themselves, the first time.
@@ -185,7 +185,7 @@ def _result(key: Any, program: _Program, arrays: list[Any], again: Callable[[], 
 
 
 def _found_or_made(function: Callable, given: Arguments, options: dict[str, int] | None = None) -> _Program | None:
-    """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
+    """Return the program of a function, from the folder or compiled now; None if it cannot be kept."""
     assert _Folder.place is not None
     arguments = given.slotted()
     try:
@@ -210,7 +210,7 @@ def _compiled(
 ) -> _Program | None:
     """Return a function compiled for arguments with `Slot`s in the place of arrays.
 
-    None where it calls back and is to be kept.
+    None if it calls back and is to be kept.
     """
     returned: list[Any] = []
 
@@ -242,7 +242,7 @@ def _without_cache(lowered: jax.stages.Lowered, options: dict[str, int] | None) 
 
 
 def _write(file: Path, program: _Program, arguments: int) -> None:
-    """Keep a program, where jaxlib can and the sources are still those that it was made of."""
+    """Keep a program, if jaxlib can and the sources are still those that it was made of."""
     results = sum(map(is_slot, jax.tree.leaves(program.skeleton, is_leaf=is_slot)))
     try:
         skeleton = pickle.dumps(program.skeleton)

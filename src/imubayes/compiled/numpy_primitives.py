@@ -1,7 +1,8 @@
 """The primitives of JAX that effects and the signal path are made of, each as what NumPy computes for it.
 
 A maker takes the settings of one use of a primitive, and returns the function of its arrays.  Results agree with those
-of compiled code to rounding.  What is not listed, as loops of unknown length and callbacks, is left to the compiler.
+of compiled code to rounding.  An operation that is not listed, such as loops of unknown length and callbacks, is left
+to the compiler.
 """
 
 import math

@@ -288,7 +288,7 @@ def _more_axes(outside: Sequence[Any], inside: Sequence[Any]) -> list[bool]:
 
 
 def lowered(traced: Any) -> NumpyProgram:
-    """Return the program of what `jax.make_jaxpr` gives; NoNumpyError where NumPy lacks a primitive here."""
+    """Return the program of what `jax.make_jaxpr` gives; NoNumpyError if NumPy lacks a primitive here."""
     return _Lowering().lowered(traced)
 
 

@@ -47,7 +47,8 @@ class Arguments:
 
     Attributes
     ----------
-    kinds : by which a program for such arguments is found; tells them from all others but for the values of arrays.
+    kinds : by which a program for such arguments is found; distinguishes them from all others but for the values of
+        arrays.
     arrays : all arrays, in the order of the leaves.
     """
 

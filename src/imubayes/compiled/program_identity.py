@@ -55,14 +55,14 @@ def identity(function: Callable, arguments: Any) -> str:
     Raises
     ------
     NoIdentityError
-        where another process could mean another program by the same names.
+        if another process could mean another program by the same names.
     """
     parts = (_name(function), describe(arguments), _settings(), _surroundings(), _sources())
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 def describe(value: Any) -> Any:
-    """Return nested tuples of plain values that tell `value` from every other; NoIdentityError where none can."""
+    """Return nested tuples of plain values that distinguish `value` from every other; NoIdentityError if none can."""
     kind = type(value)
     if kind in _PLAIN:
         return value

@@ -41,7 +41,7 @@ class StoredProgram:
 
 
 def read_content(file: Path) -> bytes | None:
-    """Return what a file holds behind its digest; None where there is none, or its file is damaged."""
+    """Return what a file holds behind its digest; None if there is none, or its file is damaged."""
     try:
         content = file.read_bytes()
         os.utime(file)
@@ -52,7 +52,7 @@ def read_content(file: Path) -> bytes | None:
 
 
 def read_program(file: Path) -> StoredProgram | None:
-    """Return the program in a file; None where there is none, or its file is damaged."""
+    """Return the program in a file; None if there is none, or its file is damaged."""
     content = read_content(file)
     if content is None:
         return None
@@ -63,7 +63,7 @@ def read_program(file: Path) -> StoredProgram | None:
 
 
 def packed_program(executable: jax.stages.Compiled, arguments: int, results: int, skeleton: bytes) -> bytes | None:
-    """Return the content of a program's file; None where jaxlib cannot serialise it.
+    """Return the content of a program's file; None if jaxlib cannot serialise it.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def packed_program(executable: jax.stages.Compiled, arguments: int, results: int
 
 
 def make_room(folder: Path, most_bytes: int) -> None:
-    """Remove the files used longest ago where all together exceed a size, until they take half of it."""
+    """Remove the files used longest ago if all together exceed a size, until they take half of it."""
     with os.scandir(folder) as entries:
         known = [(entry.stat(), entry.path) for entry in entries]
     found = sorted(((stat.st_mtime, stat.st_size, path) for stat, path in known), reverse=True)
@@ -131,7 +131,7 @@ class Preloading:
         return read_program(file) if ahead is None or ahead.cancel() else ahead.result()
 
     def remember(self) -> None:
-        """Write the list of the programs used; nothing where it has not changed, or the folder cannot be written."""
+        """Write the list of the programs used; nothing if it has not changed, or the folder cannot be written."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         if self._used and list(self._used) != self._known:
             with suppress(OSError), replacing(self._list) as scratch:

@@ -33,10 +33,10 @@ RUN_OFFSETS = "run offsets"
 DETECTION_POWER = 0.8
 """Probability with which an effect of the smallest detectable size would be named (convention)."""
 ABSORBER_SHARE = 0.01
-"""Share of a response below which what absorbs it is not told."""
+"""Share of a response below which what absorbs it is not reported."""
 NEGLECTED_SHIFT = 0.5
 """Posterior standard deviations by which a neglected uncertainty, or an effect that the runs cannot show, shifts a
-parameter, to be told (convention)."""
+parameter, to be reported (convention)."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Detectability:
     ----------
     effect, name, unit : effect, and name and unit of the coefficient.
     retained : fraction of its squared response that the model does not absorb.
-    smallest_detectable : size that would be named with a probability of 80 %, in its unit; infinite where none is.
+    smallest_detectable : size that would be named with a probability of 80 %, in its unit; infinite if none is.
     typical : smallest and largest magnitude met in practice.
     absorbed_by : what absorbs the rest, largest share first.
-    bias : of the reported parameters where the effect is present and not modelled; None without parameters.
+    bias : of the reported parameters if the effect is present and not modelled; None without parameters.
     """
 
     effect: str
@@ -215,8 +215,8 @@ class AbsorbedResponses:
 def deviations_needed(variant: EffectVariant) -> float:
     """Return the standard deviations at which a coefficient must truly stand for its effect to be named.
 
-    With an estimate at z the log odds are those before, and z²/2 · s²/(1 + s²) − log(1 + s²)/2 at the likeliest width s
-    of the prior, s² = z² − 1, one of so many.
+    With an estimate at z the log odds are those before, and z²/2 · s²/(1 + s²) − log(1 + s²)/2 at the most probable
+    width s of the prior, s² = z² − 1, one of so many.
     """
     z = np.linspace(1.0, 20.0, 1901)
     gain = 0.5 * (z**2 - 1) - np.log(z) - math.log(len(variant.widths)) + variant.log_odds

@@ -1,8 +1,8 @@
-"""From a fit to its diagnosis: how probable each explanation is, what supports the likeliest, and any wrong run.
+"""From a fit to its diagnosis: how probable each explanation is, what supports the most probable, and any wrong run.
 
-Everything rests on one posterior over explanations (`imubayes.criticism.evidence`): the verdict is the likeliest kind,
-groups are its effects, and the next command adds them.  Wrong inputs of the leading explanation are given in the units
-of the record: what would make the runs agree.
+Everything rests on one posterior over explanations (`imubayes.criticism.evidence`): the verdict is the most probable
+kind, groups are its effects, and the next command adds them.  Wrong inputs of the leading explanation are given in the
+units of the record: what would make the runs agree.
 """
 
 import time
@@ -174,7 +174,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     Raises
     ------
     InputError
-        where the effect that is asked about does not exist, is noise, or is in the model already.
+        if the effect that is asked about does not exist, is noise, or is in the model already.
     """
     if effect:
         _refuse_unknown(effect, fit)
@@ -278,7 +278,7 @@ class ExplainedFit:
     def diagnosis(self) -> record.Diagnosis:
         """Return what is missing."""
         fit, posterior = self.fit, self.posterior
-        # Beside a prior that is too narrow effects take what it leaves: they are told once it is wide enough.
+        # Beside a prior that is too narrow effects take what it leaves: they are reported once it is wide enough.
         slots = () if beyond_prior(posterior.top) else posterior.slots
         shown = [
             residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known) for slot in slots
@@ -407,7 +407,7 @@ class ExplainedFit:
         )
 
     def _suggestions(self) -> tuple[explanations.Suggestion | None, explanations.Suggestion | None]:
-        """Return the simplest explanation, and with all that fits as well where that is more."""
+        """Return the simplest explanation, and with all that fits as well if that is more."""
         if self.posterior.leading == "noise":
             return self._missing_noise(), None
         told = [slot for slot in self.posterior.slots if slot.probability >= 0.5]
@@ -430,7 +430,7 @@ class ExplainedFit:
         return explanations.Suggestion(effects=(name,), channels=None if len(on) in (0, len(every)) else on)
 
     def _suggestion(self, members: Sequence[SlotMember]) -> explanations.Suggestion:
-        """Return effects to add, their channels named where they are not all on which these were screened."""
+        """Return effects to add, their channels named if they are not all on which these were screened."""
         names = [channel.name for channel in self.fit.model.campaign.channels]
         effects = tuple(dict.fromkeys(member.effect for member in members))
         here = {owner for member in members for owner in self.of.variants[member.variant].owners}

@@ -61,10 +61,10 @@ class RmsChange(Record):
 
 
 NAMED = 0.9
-"""Probability at which an explanation is told as a finding.  Measured on effects, nulls and noise: 62 of 62 right."""
+"""Probability at which an explanation is a finding.  Measured on effects, nulls and noise: 62 of 62 right."""
 NAMED_ODDS = math.log(NAMED / (1 - NAMED))
 NEAR = 3.0
-"""Nats within which hypotheses are told beside each other: of the others all have less than e⁻³ = 0.05 of the odds."""
+"""Nats within which hypotheses are reported together: the others have less than e⁻³ = 0.05 of the odds."""
 Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
 """Nothing is missing; the noise is not as stated; effects of the catalogue; a wrong input; a form outside of it."""
 
@@ -253,7 +253,7 @@ class Absorber:
 class ParameterBias:
     """The parameter that an effect of the largest typical size biases most while undetected.
 
-    None of that size is assumed where the campaign states the uncertainty of the equipment.
+    None of that size is assumed if the campaign states the uncertainty of the equipment.
 
     Attributes
     ----------

@@ -49,12 +49,12 @@ class ResidualEvidence:
     ----------
     channel, effect : names of the channel and of the candidate.
     covariate : the covariate that the explained part follows; None if no single one does.
-    at : shape (n,), values of the covariate, or of `over`'s; the number of the entry where there is neither.
+    at : shape (n,), values of the covariate, or of `over`'s; the number of the entry if there is neither.
     run : shape (n,), name of the run of each entry.
     residual, explained : shape (n,), in `unit`.
     unit : nominal input unit, deg/s or g, of the angle of a driven table deg.
-    over : where the response is the input times a function of a covariate.
-    within : whether `residual` is without the offset that each run has beside the explained part: where the model has
+    over : if the response is the input times a function of a covariate.
+    within : whether `residual` is without the offset that each run has beside the explained part: if the model has
         such offsets and the evidence lies within runs.
     """
 
@@ -162,7 +162,7 @@ def _following(
 ) -> ResidualCovariate | None:
     """Return the covariate that a response follows alone: one that the effect depends on; None if none does.
 
-    Any where these are not known, and of a memory, which follows the time as well.
+    Any if these are not known, and of a memory, which follows the time as well.
     """
     own = frozenset[str]().union(*covariates_of(member, kind))
     free = not own or MEMORY in own
@@ -196,7 +196,7 @@ def _share(response: np.ndarray, stimulus: np.ndarray, values: np.ndarray) -> fl
 
 
 _CHANCE = 0.01
-"""Probability that any row of a campaign is told by chance (convention)."""
+"""Probability that any row of a campaign is reported by chance (convention)."""
 
 
 class Outlier(Record):

@@ -78,7 +78,7 @@ class CheckedRun(Record):
 
 
 class CheckedFinding(Record):
-    """One finding, in its full text, with what is wrong in the record of a run where that is known."""
+    """One finding, in its full text, with what is wrong in the record of a run if that is known."""
 
     name: str
     severity: str
@@ -119,7 +119,7 @@ class Check(Record):
 
 
 def check_record(inspection: Inspection, model: CheckedModel | None) -> Check:
-    """Return the outcome of a check; raises InputError where the campaign cannot be used."""
+    """Return the outcome of a check; raises InputError if the campaign cannot be used."""
     campaign = usable(inspection)
     return Check(
         campaign=campaign.name,
@@ -142,7 +142,7 @@ def _grades(campaign: Campaign) -> tuple[CheckedGrade, ...]:
 
 
 def _grade_lines(campaign: Campaign) -> list[str]:
-    """Return which grade default priors belong to, where it is stated or coarser than tactical."""
+    """Return which grade default priors belong to, if it is stated or coarser than tactical."""
     grades = _grades(campaign)
     if all(found.grade == "tactical" and not found.stated for found in grades):
         return []
@@ -154,7 +154,7 @@ def _grade_lines(campaign: Campaign) -> list[str]:
 def check_report(
     inspection: Inspection, model: CheckedModel | None, command: str = "", verbose: bool = False
 ) -> Report:
-    """Return the outcome of a check as a report; raises InputError where the campaign cannot be used.
+    """Return the outcome of a check as a report; raises InputError if the campaign cannot be used.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _span(runs: Sequence[Run]) -> str:
 
 
 def usable(inspection: Inspection) -> Campaign:
-    """Return the campaign of an inspection; raises InputError with every issue where it cannot be used."""
+    """Return the campaign of an inspection; raises InputError with every issue if it cannot be used."""
     if inspection.campaign is None:
         raise InputError(inspection.issues)
     return inspection.campaign

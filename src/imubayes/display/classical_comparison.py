@@ -2,7 +2,7 @@
 
 A classical estimate takes seat and table as exact and each run at its own temperature.  What these assumptions do to it
 is found by evaluating the outputs that the fit predicts in the same way, which gives what the classical evaluation
-would find where the fit is right.  Where the estimate from the measured outputs agrees with that from the predicted
+would find if the fit is right.  If the estimate from the measured outputs agrees with that from the predicted
 ones, the assumptions that the fit gives up explain its difference from the fit.  The mounting angle has its own part of
 the difference.
 """
@@ -38,7 +38,7 @@ class OfPrediction:
     ----------
     value : (name, run) → estimate.
     of_offset : (name, run) → its change by run offsets of one standard deviation.
-    temperature : run → mean temperature, °C, where it differs from that of the joint values and the model has
+    temperature : run → mean temperature, °C, if it differs from that of the joint values and the model has
         parameters for it.
     """
 
@@ -97,7 +97,7 @@ def with_outputs(campaign: Campaign, residuals: pl.DataFrame, offsets: Mapping[s
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
 _BEYOND = 3.0
 _MOST_BESIDE = 8
-# An effect is named where it adds at least this share of a difference.
+# An effect is named if it adds at least this share of a difference.
 _LEAST_SHARE, _MOST_CAUSES = 0.25, 3
 
 
@@ -111,13 +111,13 @@ class AngleError:
 
 @dataclass(frozen=True)
 class ComparedEstimate:
-    """A classical estimate with the same quantity of the joint fit, None where that does not have it.
+    """A classical estimate with the same quantity of the joint fit, None if that does not have it.
 
     Attributes
     ----------
-    of_prediction : the classical estimate from the outputs that the joint fit predicts; None where not evaluated.
+    of_prediction : the classical estimate from the outputs that the joint fit predicts; None if not evaluated.
     of_offset : what a run offset of one standard deviation does to it.
-    temperature : of the run, °C, where it is not that of the joint values.
+    temperature : of the run, °C, if it is not that of the joint values.
     causes : effects of the model that make the difference, each with what it adds, the largest first.
     """
 
@@ -194,7 +194,7 @@ def _causes(difference: float, added: Sequence[tuple[str, float]]) -> tuple[tupl
 def compare_classical(
     findings: Sequence[TextbookResult], summary: Summary | None = None, predicted: OfPrediction | None = None
 ) -> ClassicalComparison:
-    """Return classical estimates beside those of a fit of the same campaign, where there is one.
+    """Return classical estimates beside those of a fit of the same campaign, if there is one.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Pictures go to `figures/` one by one, each written beside and then put in its place, so that no incomplete picture is
 ever seen.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not is
-removed.  Where the folder cannot be written to, the tables are all that is shown.
+removed.  If the folder cannot be written to, the tables are all that is shown.
 
 The page shows the five figures that matter first, all others folded, and the tables.  It is one file beside the folder
 `figures`, without scripts or external styles; its pictures are the files of that folder.
@@ -117,7 +117,7 @@ class Comparison:
 
     @property
     def runs(self) -> SheetTable:
-        """Goodness of fit: a line per run, or per run and channel where there are many channels."""
+        """Goodness of fit: a line per run, or per run and channel if there are many channels."""
         channels = {run.channel for run in self.summary.runs}
         return terminal((fit_sheet if len(channels) <= _MOST_COLUMNS else run_sheet)(self.summary))
 
@@ -288,7 +288,7 @@ def draw_figures(
 
 
 def _refuse_non_finite(residuals: pl.DataFrame, folder: Path) -> None:
-    """Raise where predictions are not finite: such a fit has nothing to draw."""
+    """Raise if predictions are not finite: such a fit has nothing to draw."""
     bad = residuals.filter(~residuals["predicted"].is_finite())
     if bad.is_empty():
         return

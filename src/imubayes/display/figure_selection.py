@@ -20,7 +20,7 @@ from imubayes.results.summary import Quantity, Summary
 from imubayes.results.temperature_range import ThermalModel
 
 MOST_RUNS, MOST_CORNER = 6, 6
-# Pairs correlated less have joint regions that their intervals already tell; those correlated more are one quantity
+# Pairs correlated less have joint regions that their intervals already show; those correlated more are one quantity
 # under two names.
 _CORRELATED, _SAME = 0.5, 0.9999
 Plan = Iterator[tuple[str, Callable[[], Picture]]]
@@ -149,7 +149,7 @@ def _pages[T](panels: Sequence[T]) -> list[tuple[str, list[T]]]:
 
 
 def runs_shown(summary: Summary, residuals: pl.DataFrame) -> list[str]:
-    """Return the runs that get a figure of their own where none are named: all, or of many those that fit worst."""
+    """Return the runs that get a figure of their own if none are named: all, or of many those that fit worst."""
     runs = ordered(residuals, "run")
     if len(runs) <= MOST_RUNS:
         return runs
@@ -159,7 +159,7 @@ def runs_shown(summary: Summary, residuals: pl.DataFrame) -> list[str]:
 
 
 def _files_of_runs(runs: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield a file name for each run: its own, where that is one, and different from all others."""
+    """Yield a file name for each run: its own, if that is one, and different from all others."""
     taken: set[str] = set()
     for run in runs:
         plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "_" for c in run)[:80]
@@ -174,8 +174,8 @@ def corner_choice(summary: Summary, draws: Mapping[str, np.ndarray], most: int =
     """Return the quantities whose joint posterior is most informative.
 
     These are the most correlated pairs of derived quantities, then of parameters: their single intervals hide that only
-    a combination is determined.  Where few pairs are correlated, scale factor and mounting angle of one channel, which
-    are separated only by combining runs, and only where the axis is inclined to the axis of rotation: the angles with
+    a combination is determined.  If few pairs are correlated, scale factor and mounting angle of one channel, which
+    are separated only by combining runs, and only if the axis is inclined to the axis of rotation: the angles with
     the least from the data come first, each with its scale factor.
 
     Parameters
@@ -225,7 +225,7 @@ def _least_determined(summary: Summary) -> list[str]:
 
 
 def _angles(derived: Sequence[Quantity]) -> list[str]:
-    """Return the mounting angles, only the inclined axes where there are any."""
+    """Return the mounting angles, only the inclined axes if there are any."""
     angles = [entry for entry in derived if family_of(entry.name) == MOUNTING_ANGLE and entry.mean is not None]
     inclined = [entry for entry in angles if 10 < abs(entry.mean or 0.0) % 90 < 80]
     return [entry.name for entry in inclined or angles]

@@ -3,8 +3,8 @@
 The title stands above a figure, the caption below.  Panels are placed in inches: constrained layout would draw every
 figure twice.
 
-Runs are told apart by the hue, which stands for the mounting, and by the marker, which stands for the temperature.
-The hues are told apart by readers with normal vision, protanopia, deuteranopia and tritanopia: CIE 1976 colour
+Runs are distinguished by the hue, which stands for the mounting, and by the marker, which stands for the temperature.
+The hues are distinguished by readers with normal vision, protanopia, deuteranopia and tritanopia: CIE 1976 colour
 difference of at least 22 in each simulation of Machado, Oliveira and Fernandes (2009).
 """
 
@@ -50,7 +50,7 @@ class Sign:
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """A line of a legend; a heading where it has no sign."""
+    """A line of a legend; a heading if it has no sign."""
 
     label: str
     sign: Sign | None = None
@@ -59,7 +59,7 @@ class LegendEntry:
 class RunSigns:
     """The sign of every run, the same in all figures of a result.
 
-    Runs of one mounting share a hue, runs at one temperature a marker.  Where all runs have one mounting, or there are
+    Runs of one mounting share a hue, runs at one temperature a marker.  If all runs have one mounting, or there are
     too many, the hue is that of the run itself or, for more than 12 runs, of the procedure.
     """
 
@@ -122,7 +122,7 @@ def run_signs(residuals: pl.DataFrame, runs: Sequence[str] | None = None) -> Run
 
 
 def _text(residuals: pl.DataFrame, column: str) -> dict[str, str]:
-    """Return the text that each run has in a column; nothing where the table has no such column."""
+    """Return the text that each run has in a column; nothing if the table has no such column."""
     if column not in residuals.columns:
         return {}
     found = residuals.group_by("run").agg(pl.col(column).first())

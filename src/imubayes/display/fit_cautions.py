@@ -38,7 +38,7 @@ NOISE_WORDS = {
 }
 """Kind of a violation of the noise model → what it is, in words."""
 _MOST_NAMED = 3
-# Ratio of uncertainties from which on what is taken as exact is told.
+# Ratio of uncertainties from which on what is taken as exact is reported.
 _MATTERS = 1.1
 _PER_FORCE = (" per g", " per m/s^2")
 
@@ -103,7 +103,7 @@ def alarm_in_picture(summary: Summary) -> str:
 
 
 def alarm_of(summary: Summary) -> str:
-    """Return the warning that precedes everything else; empty where the intervals of the fit can be trusted."""
+    """Return the warning that precedes everything else; empty if the intervals of the fit can be trusted."""
     if summary.implausible or summary.unexplained:
         return " ".join((f"{_FAILED}.", *failures(summary), _FAILED_REMEDY))
     if not summary.converged:
@@ -192,7 +192,7 @@ def set_aside_text(found: SetAside) -> str:
 
 
 def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
-    """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
+    """Return what a campaign of one run cannot determine of its channels, a line for each effect."""
     return tuple(
         f"{each.effect} is left out, because fewer than two runs contain {listed(each.channels, 4)}. The uncertainties "
         "are those within a run. Repeatability from run to run requires more runs, or a prior in the model."
@@ -211,7 +211,7 @@ def exact_text(found: Sequence[UncertainEquipment]) -> str:
 
 
 def exact_lines(summary: Summary) -> tuple[str, ...]:
-    """Return the line that says what the intervals take as exact of site and equipment; none where none matters."""
+    """Return the line that says what the intervals take as exact of site and equipment; none if none matters."""
     effect = _gravity_text(summary)
     known = [each for each in summary.exact if each.stated or effect]
     if not known:
@@ -223,7 +223,7 @@ def exact_lines(summary: Summary) -> tuple[str, ...]:
 
 
 def _gravity_text(summary: Summary) -> str:
-    """Return what gravity that nobody measured does to the scale factor that it widens most; empty where little."""
+    """Return what gravity that nobody measured does to the scale factor that it widens most; empty if little."""
     size = next((each.size for each in summary.exact if each.effect == GRAVITY and not each.stated), 0.0)
     scales = [
         (each.sd / abs(each.mean) * 1e6, each.name)
@@ -239,7 +239,7 @@ def _gravity_text(summary: Summary) -> str:
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
-    """Return the line that says which runs do not agree with the others; none where all do."""
+    """Return the line that says which runs do not agree with the others; none if all do."""
     doubted = summary.doubted_runs
     if not doubted:
         return ()
@@ -277,13 +277,13 @@ SIGNIFICANT = 0.001
 
 
 def share_of_freedom(summary: Summary) -> float:
-    """Return the degrees of freedom per residual, between 0.1 and 1; 1 where there are no residuals."""
+    """Return the degrees of freedom per residual, between 0.1 and 1; 1 if there are no residuals."""
     count = sum(run.n for run in summary.runs)
     return min(max(summary.dof / count, 0.1), 1.0) if count and summary.dof else 1.0
 
 
 def chi2_text(summary: Summary) -> str:
-    """Return χ² at the noise as fitted, and beside it at the noise known beforehand where that was found."""
+    """Return χ² at the noise as fitted, and beside it at the noise known beforehand if that was found."""
     fitted = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
     said, known = f"χ² {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
     if known is None:
@@ -292,7 +292,7 @@ def chi2_text(summary: Summary) -> str:
 
 
 def tail(chi2: float, freedom: float) -> float:
-    """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail where this is smaller."""
+    """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail if this is smaller."""
     if not (math.isfinite(chi2) and freedom > 0):
         return math.nan
     above = float(chi2_survival(chi2, freedom))

@@ -1,7 +1,7 @@
 """Tables of the quality of a fit: goodness of fit, weak directions, contributions of procedures, candidate runs.
 
-What did not converge is said first, in red.  What the data leave together is shown as weak directions, and as the
-combinations that are determined nevertheless.  A run that could be made is described in words.
+A fit that did not converge is reported first, in red.  Parameters that the data do not separate are shown as weak
+directions, and as the combinations that are determined nevertheless.  A run that could be made is described in words.
 """
 
 import math
@@ -147,7 +147,7 @@ def _leading_contributions(summary: records.Summary) -> list[Contribution]:
         return contribution.sd / min(share.alone for share in contribution.by)
 
     def inclination(contribution: Contribution) -> float:
-        # An angle matters little to the measurement where the axis is along or across the rotation axis.
+        # An angle matters little to the measurement if the axis is along or across the rotation axis.
         return -abs(round(math.sin(2 * math.radians(mean[contribution.quantity] or 0.0)), 1))
 
     found = sorted(summary.contributions, key=gain)

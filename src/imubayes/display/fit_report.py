@@ -16,7 +16,7 @@ _MOST_DIGITS = 12  # of a hash
 
 
 def summary_report(summary: Summary, verbose: bool = False) -> Report:
-    """Return the calibration of each channel and the mounting angles; every table where `verbose`."""
+    """Return the calibration of each channel and the mounting angles; every table if `verbose`."""
     of_channels = quantities.calibration_sheets(summary)
     sheets: list[Sheet | quantities.CalibrationSheet] = [*of_channels, quantities.axis_sheet(summary)]
     in_sheets = {entry.name for sheet in of_channels for *_, own in sheet.rows for entry in own.values()}
@@ -46,7 +46,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
 
 
 def every_table(summary: Summary, nuisance: bool) -> list[Sheet]:
-    """Return every table of a fit, the parameters first, with the nuisance parameters where asked for."""
+    """Return every table of a fit, the parameters first, with the nuisance parameters if asked for."""
     return [
         quantities.parameter_sheet(summary, nuisance=nuisance),
         quantities.derived_sheet(summary),

@@ -65,7 +65,7 @@ class Tabular(Protocol):
     """What comes in one or several tables, depending on the room there is."""
 
     def blocks(self, width: int | None = None) -> Sequence["Sheet"]:
-        """Return the tables for a medium of so many columns; none where there is nothing to show."""
+        """Return the tables for a medium of so many columns; none if there is nothing to show."""
         ...
 
 
@@ -134,7 +134,7 @@ def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:
 
 
 def sheet_html(sheet: Sheet, folded: bool = False) -> str:
-    """Return a sheet as an HTML table, collapsed where `folded`."""
+    """Return a sheet as an HTML table, collapsed if `folded`."""
     return render("sheet_only", sheet=sheet, folded=folded)
 
 
@@ -144,7 +144,7 @@ def terminal(sheet: Sheet) -> "SheetTable":
 
 
 class SheetTable(Table):
-    """A rich table that falls back to fewer columns where the terminal is too narrow.
+    """A rich table that falls back to fewer columns if the terminal is too narrow.
 
     Names and numbers stay on one line as long as other columns can be wrapped instead; no number is ever truncated.
     """
@@ -206,7 +206,7 @@ class _Width:
         longest = max((len(word) for text in (head, *texts) for word in text.split()), default=0)
         if place > 0 and not any(" " in text for text in texts):
             return cls(natural, longest, longest, longest)  # single words; the heading may wrap
-        # Names cut in two are not told apart, and numbers stay beside their uncertainty.
+        # Names cut in two are not distinguished, and numbers stay beside their uncertainty.
         numbers = any(sign in text for text in texts for sign in _BETWEEN_NUMBERS)
         prose = any(word.isalpha() and len(word) > 1 for text in texts for word in text.split())
         whole = longest if prose and not numbers else widest

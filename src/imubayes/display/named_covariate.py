@@ -35,7 +35,7 @@ class _NamedByDiagnosis(Record):
 def named_covariate(folder: Path, residuals: pl.DataFrame) -> Covariate | None:
     """Return what the residual depends on that the diagnosis in a result folder names first.
 
-    None where there is no diagnosis of this fit, where it names nothing, and where the residuals lack the column.
+    None if there is no diagnosis of this fit, if it names nothing, and if the residuals lack the column.
     """
     try:
         file = added(folder, DIAGNOSIS)

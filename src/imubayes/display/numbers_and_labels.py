@@ -48,7 +48,7 @@ def readable(unit: str, typical: float) -> tuple[float, str]:
 
 
 ROW = Covariate("row", "row", "", "", "row", origin="derived")
-"""What residuals are drawn against where nothing better is recorded."""
+"""Abscissa of residuals if nothing better is recorded."""
 
 
 def covariates() -> tuple[Covariate, ...]:
@@ -70,7 +70,7 @@ def command_line(*words: str) -> str:
 
 
 def shortened(name: str, most: int) -> str:
-    """Return a name of at most `most` characters, its middle left out where it is longer."""
+    """Return a name of at most `most` characters, its middle left out if it is longer."""
     if len(name) <= most:
         return name
     head = (most - 1 + 1) // 2
@@ -99,7 +99,7 @@ def with_minus(text: str) -> str:
 
 
 def ratio_text(value: float | None) -> str:
-    """Return a ratio near one, such as χ²/n, to two decimals; to three digits where it is large."""
+    """Return a ratio near one, such as χ²/n, to two decimals; to three digits if it is large."""
     if value is None or not math.isfinite(value):
         return NO_NUMBER
     if value < 10:
@@ -115,13 +115,13 @@ def percent(share: float | None) -> str:
     if share > 99.99:
         return "> 99.99 %"
     decimals = 2 if share >= 99.9 else 1 if share >= 95 else 0
-    # Rounded down where it is near certainty: 99.96 % is not 100 %.
+    # Rounded down if it is near certainty: 99.96 % is not 100 %.
     share = math.floor(share * 10**decimals) / 10**decimals if decimals else share
     return f"{share:.{decimals}f} %"
 
 
 def chance_text(p: float | None) -> str:
-    """Return a p-value: two digits, and a power of ten where it is small."""
+    """Return a p-value: two digits, and a power of ten if it is small."""
     if p is None:
         return "–"
     return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}")

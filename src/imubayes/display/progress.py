@@ -24,7 +24,7 @@ FIRST = 1.0
 
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _FRAME = 0.1
-# Plain lines: a new step is told at once, the same one with its counter no more often than this.
+# Plain lines: a new step is reported at once, the same one with its counter no more often than this.
 _LINE, _STILL = 2.0, 15.0
 
 
@@ -51,8 +51,8 @@ def terminal_progress(stream: Stream | None = None, *, lines: bool = True, text:
 
     Parameters
     ----------
-    stream : standard error where None.
-    lines : whether plain lines are printed where the stream is no terminal; silent there otherwise.
+    stream : standard error if None.
+    lines : whether plain lines are printed if the stream is no terminal; silent there otherwise.
     text : of the first step.
     """
     chosen: Stream = stream if stream is not None else sys.stderr
@@ -65,7 +65,7 @@ def terminal_progress(stream: Stream | None = None, *, lines: bool = True, text:
 
 
 class ShownProgress(ABC):
-    """What tells, in a thread of its own, the step that goes on and the seconds since the first one began."""
+    """Display, in a thread of its own, the step that goes on and the seconds since the first one began."""
 
     def __init__(self, text: str):
         self._text = text
@@ -76,7 +76,7 @@ class ShownProgress(ABC):
 
     @contextmanager
     def shown(self) -> Iterator[Tell]:
-        """Show the step until the block ends, and take the line away; yield what tells the step that goes on."""
+        """Show the step until the block ends, and take the line away; yield the function that reports a step."""
         self._thread.start()
         try:
             yield self.tell
@@ -85,7 +85,7 @@ class ShownProgress(ABC):
             self._thread.join()
 
     def tell(self, text: str) -> None:
-        """Tell the step that goes on."""
+        """Report the step that goes on."""
         self._text = text
 
     @abstractmethod
@@ -148,7 +148,7 @@ _TICK = 0.5
 def progress_of(given: Tell | None) -> Iterator[Tell]:
     """Yield the function that was given, or one that shows its text below the cell in a notebook or on the terminal.
 
-    Where standard error is no terminal nothing is said: a script that wants lines gives a function.
+    If standard error is no terminal nothing is said: a script that wants lines gives a function.
     """
     if given is not None:
         yield given
@@ -163,7 +163,7 @@ def progress_of(given: Tell | None) -> Iterator[Tell]:
 
 
 def _display() -> Callable[..., Any] | None:
-    """Return the display function of a Jupyter kernel; None where this is none.
+    """Return the display function of a Jupyter kernel; None if this is none.
 
     A kernel has imported IPython, so nothing has to be imported to ask.
     """

@@ -4,7 +4,7 @@ A quantity has a line with estimate, standard uncertainty, interval and share fr
 
 The calibration sheet shows a unit at a glance: channels as columns, what was fitted of each as rows, and the input
 axes.  A terminal of 80 columns has no room for three channels with their uncertainties after `±`: the form in
-parentheses of GUM 7.2.2, 13.26(26), keeps them side by side.  What needs more room goes on in a further block.
+parentheses of GUM 7.2.2, 13.26(26), keeps them side by side.  A longer table continues in a further block.
 """
 
 import re
@@ -30,7 +30,7 @@ _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the sc
 
 
 def parameter_sheet(summary: Summary, most: int | None = None, nuisance: bool = False) -> Sheet:
-    """Return the parameters, those of single poses only where `nuisance`; at most `most`, the questionable first."""
+    """Return the parameters, those of single poses only if `nuisance`; at most `most`, the questionable first."""
     return _quantities(summary, in_output_units(summary).parameters, "Parameters", most, nuisance)
 
 
@@ -47,7 +47,7 @@ def equipment_sheet(summary: Summary, shown: Collection[str]) -> Sheet:
 
     Parameters
     ----------
-    shown : names that other tables show; the mounting angles tell the seats.
+    shown : names that other tables show; the mounting angles determine the seats.
     """
     own = [
         entry
@@ -80,9 +80,9 @@ def _quantities(
 
 
 def is_nuisance(entry: Quantity) -> bool:
-    """Tell whether a quantity is of no interest in itself, such as the attitude of a pose.
+    """Return whether a quantity is of no interest in itself, such as the attitude of a pose.
 
-    The temperature of a run and the error of a thermometer are of interest where the data tell them better than the
+    The temperature of a run and the error of a thermometer are of interest if the data determine them better than the
     campaign states them.
     """
     if not isinstance(entry, ParameterSummary) or not entry.nuisance:
@@ -140,7 +140,7 @@ def _sampling_cells(entry: Quantity) -> tuple[Cell, Cell]:
 
 
 def is_undetermined(entry: Quantity) -> bool:
-    """Tell whether the data contributed less than a tenth of the information on a quantity."""
+    """Return whether the data contributed less than a tenth of the information on a quantity."""
     return entry.from_data is not None and entry.from_data < NOT_DETERMINED
 
 
@@ -158,7 +158,7 @@ def _unsettled(entry: Quantity) -> bool:
 
 
 def sampling_note(entries: Sequence[Quantity]) -> str:
-    """Return the worst R̂ and effective size, which replace the columns where all is well."""
+    """Return the worst R̂ and effective size, which replace the columns if all is well."""
     r_hats = [r_hat for r_hat in map(_r_hat, entries) if r_hat is not None]
     sizes = [size for size in map(_effective_size, entries) if size is not None]
     if not r_hats or not sizes:
@@ -201,7 +201,7 @@ class CalibrationSheet:
     note: str = ""
 
     def blocks(self, width: int | None = None) -> list[Sheet]:
-        """Return the table in the fewest blocks that fit into a width, with `±` where that takes no more of them."""
+        """Return the table in the fewest blocks that fit into a width, with `±` if that takes no more of them."""
         plain, short = (self._divided(is_short, width) for is_short in (False, True))
         return plain if len(plain) <= len(short) else short
 
@@ -233,7 +233,7 @@ def _width(sheet: Sheet) -> int:
 
 
 def estimate_cell(entry: Quantity | None, is_short: bool) -> Cell:
-    """Return an estimate with its standard uncertainty, marked where it is that of the prior."""
+    """Return an estimate with its standard uncertainty, marked if it is that of the prior."""
     if entry is None:
         return Cell("")
     if entry.mean is None or entry.sd is None:

@@ -1,6 +1,6 @@
 """How records show themselves: their headlines, and the text and HTML for terminal and notebook.
 
-Text and HTML are registered on import.  The headline is the one line that stands where the whole report would be too
+Text and HTML are registered on import.  The headline is the one line that stands if the whole report would be too
 much.
 """
 

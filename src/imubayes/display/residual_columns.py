@@ -24,7 +24,7 @@ def numbers(frame: pl.DataFrame, column: str) -> np.ndarray:
 
 
 def varies(values: np.ndarray) -> bool:
-    """Tell whether there are at least two different finite values."""
+    """Return whether there are at least two different finite values."""
     finite = values[np.isfinite(values)]
     return finite.size > 1 and bool(np.ptp(finite) > 1e-9 * np.max(np.abs(finite)))
 

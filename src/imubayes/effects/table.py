@@ -41,7 +41,7 @@ class OuterAxisEffect(TableEffect):
         return _axes(motion).link[self.place]
 
     def normal(self, motion: Motion) -> Vector3:
-        """Return the unit normal z × n of this axis and the next one, n; 0 where they are parallel."""
+        """Return the unit normal z × n of this axis and the next one, n; 0 if they are parallel."""
         link = self.link(motion)
         normal = vector3(-link[1, 2], link[0, 2], jnp.zeros_like(link[0, 2]))
         square = jnp.sum(normal * normal)

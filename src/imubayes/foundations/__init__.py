@@ -1,1 +1,1 @@
-"""What every other part builds on: errors, units, records, files, arrays, Earth, covariates, campaign data."""
+"""Foundations of all other parts: errors, units, records, files, arrays, Earth, covariates, campaign data."""

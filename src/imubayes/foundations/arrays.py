@@ -6,7 +6,7 @@ hyperparameters (noise scales, in z).
 
 Indexing is unchecked, and batches have a fixed size.
 
-Linear algebra that contains no forward model is written once for both libraries: `namespace` chooses NumPy where all
+Linear algebra that contains no forward model is written once for both libraries: `namespace` chooses NumPy if all
 operands are NumPy arrays, which compiles nothing, and JAX inside compiled, differentiated or batched functions.
 
 Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` transforms a vector
@@ -78,7 +78,7 @@ __all__ = [
 
 
 def namespace(*operands: Any) -> Any:
-    """Return `jax.numpy` where an operand is an array of JAX, also a traced one; else `numpy`."""
+    """Return `jax.numpy` if an operand is an array of JAX, also a traced one; else `numpy`."""
     for operand in operands:
         if isinstance(operand, jax.Array):
             return jnp

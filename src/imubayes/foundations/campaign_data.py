@@ -1,15 +1,15 @@
-"""What was recorded, in SI, and on which equipment: the data that everything above works on.
+"""Recorded data in SI, and the equipment: the data that everything above works on.
 
 A `Campaign` is one unit's set of runs.  A `Run` holds rows: each row is the mean of `samples` raw samples taken while
 the stimulus was what the covariates say.  These are plain frozen records of NumPy arrays; files and units are the
 business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.
 
 A unit has a grade, to which default priors belong.  The default prior of a parameter is that of a tactical or
-navigation-grade unit.  Where coarser units are met with larger errors, the parameter declares the widths for these:
+navigation-grade unit.  If coarser units are met with larger errors, the parameter declares the widths for these:
 `coarse`, for an industrial and for a consumer unit.  Widths are the largest values of data sheets: consumer, MPU-6050,
 MPU-9250, BMI160, ICM-20948, LSM6DS3 (zero-rate output 5 to 20 deg/s, sensitivity 3 %, cross-axis 2 %, zero-g 60 to
 80 mg); industrial, ADIS16448, ADIS16465, MTi-30, HG4930 (0.2 to 1 deg/s, 0.2 to 1 %, 0.05 to 0.2 deg, 10 to 20 mg).
-Where data sheets are silent (g², dT/dt, hysteresis) the width follows from the bias or the scale factor in the ratio
+If data sheets are silent (g², dT/dt, hysteresis) the width follows from the bias or the scale factor in the ratio
 that it has for better units.
 """
 
@@ -478,6 +478,6 @@ def component_names(channel: str) -> tuple[str, ...]:
 
 
 def channel_of_component(name: str) -> str | None:
-    """Return the channel where a derived quantity is a component of its input axis; None of any other quantity."""
+    """Return the channel if a derived quantity is a component of its input axis; None of any other quantity."""
     parts = QuantityName.of(name)
     return parts.first if parts.family == INPUT_AXIS else None

@@ -33,17 +33,17 @@ class Covariate:
     ambient : whether effects see it as `sample.ambient.<name>`.
     shown : whether residual tables and figures have it.
     regressor : whether diagnosis looks for residuals that depend on it.
-    symbol : symbol in formulas; empty where the formula search leaves it out.
+    symbol : symbol in formulas; empty if the formula search leaves it out.
     centre : value that formulas subtract from it, `unit`.
-    expression : Python of the value in SI in a generated effect; `sample.ambient.<name>` where empty.
-    needs : what a run must supply for it; its own name where None.
-    source : what brings it into a run, where the column alone does not.
+    expression : Python of the value in SI in a generated effect; `sample.ambient.<name>` if empty.
+    needs : what a run must supply for it; its own name if None.
+    source : what brings it into a run, if the column alone does not.
     periodic : whether it is an angle, which enters formulas by harmonics.
     relative : whether it acts by its change, not by its distance from zero, which is arbitrary.
     symmetric : whether it acts alike in both directions, so that a resonance lies at its magnitude.
-    instrument : what a standard for its readings is called among the equipment of a certificate; empty where the table,
+    instrument : what a standard for its readings is called among the equipment of a certificate; empty if the table,
         the reference or the current source of a run supplies it, or the model.
-    absent : what a run without it has; empty where it has some value that nobody knows, so that an effect that needs
+    absent : what a run without it has; empty if it has some value that nobody knows, so that an effect that needs
         it cannot be bound to that run.
     """
 
@@ -277,7 +277,7 @@ CONDITIONS: dict[str, str] = {
     "gyro": "a gyro",
     "accelerometer": "an accelerometer",
 }
-"""What would bring an effect out that no run shows, other than a covariate → the same in words."""
+"""Needs of an effect that no run shows, other than a covariate → the same in words."""
 
 
 def instruments(names: Iterable[str]) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def table_to_local(azimuth: float, elevation: float) -> np.ndarray:
 
 
 def towards(axis: Sequence[float]) -> np.ndarray:
-    """Return the smallest rotation that takes z to a unit vector, shape (3, 3); about x where the vector is −z."""
+    """Return the smallest rotation that takes z to a unit vector, shape (3, 3); about x if the vector is −z."""
     x, y, z = axis
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])

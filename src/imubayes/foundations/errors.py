@@ -93,7 +93,7 @@ class NotKept(UserWarning):
 
 @contextmanager
 def kept_if_possible(folder: Path) -> Iterator[None]:
-    """Warn, and go on after the block, where it cannot write to a folder: what was to be kept there is not lost."""
+    """Warn, and go on after the block, if it cannot write to a folder: what was to be kept there is not lost."""
     try:
         yield
     except (OSError, InputError) as error:
@@ -110,9 +110,9 @@ def closest_first(word: str, options: Iterable[str], most: int = 8) -> str:
 
 
 class ExtraPackage:
-    """A package that only an extra installs, imported when it is first used; ModuleNotFoundError where it is missing.
+    """A package that only an extra installs, imported when it is first used; ModuleNotFoundError if it is missing.
 
-    lazy_loader.load looks at every loaded module where a package is missing, and waits for ever where one of those is
+    lazy_loader.load looks at every loaded module if a package is missing, and waits for ever if one of those is
     lazy itself.
     """
 

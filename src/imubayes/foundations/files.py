@@ -1,6 +1,6 @@
 """Files and folders that appear as a whole or not at all, and places that one process at a time writes to.
 
-What is written stands beside its place first and is then renamed; files that belong together are committed by one
+Files are written beside their place first and then renamed; files that belong together are committed by one
 renaming of them all.
 
 A place is locked through an open file: the lock ends with its process, however that ends, and what is left of the file
@@ -162,7 +162,7 @@ def complete_change(folder: Path, last: str) -> None:
     Raises
     ------
     InputError
-        where that process does not end, this one may not write, or something else is in the way.
+        if that process does not end, this one may not write, or something else is in the way.
     """
     committed, until = folder / _COMMITTED, time.monotonic() + PATIENCE
     while _is_change(committed):
@@ -179,12 +179,12 @@ def complete_change(folder: Path, last: str) -> None:
 
 
 def changing(folder: Path) -> bool:
-    """Tell whether the files of a committed change are being put in place, or wait for it."""
+    """Return whether the files of a committed change are being put in place, or wait for it."""
     return (folder / _COMMITTED).exists()
 
 
 def _is_change(committed: Path) -> bool:
-    """Tell whether there is a change; a link, which would move the files of another place, is refused."""
+    """Return whether there is a change; a link, which would move the files of another place, is refused."""
     if committed.is_symlink() or committed.is_file():
         raise input_error(
             f"{committed.name} is not a folder: no process of imubayes made it",
@@ -231,7 +231,7 @@ def _put_in_place(committed: Path, last: str) -> None:
 
 
 def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:
-    """Raise InputError where a file or folder exists, except a file whose content may be replaced."""
+    """Raise InputError if a file or folder exists, except a file whose content may be replaced."""
     if not file.exists() or (file.is_file() and but(file.read_bytes())):
         return
     raise input_error(
@@ -269,7 +269,7 @@ def only_writer(place: Path, patience: float = 0.0) -> Iterator[None]:
     Raises
     ------
     InputError
-        where another process, or another thread of this one, holds it.
+        if another process, or another thread of this one, holds it.
     """
     file = place / _LOCK if place.is_dir() else place.with_name(f".{place.name}{_LOCK}")
     key = (file.resolve(), threading.get_ident())
@@ -309,7 +309,7 @@ def _locked(file: Path, place: Path, until: float) -> IO[str]:
             time.sleep(_PAUSE)
             continue
         if _still_there(file, stream):
-            with suppress(OSError):  # the disk is full: nobody is told who holds the place
+            with suppress(OSError):  # the disk is full: no message says who holds the place
                 stream.truncate(0)
                 os.write(stream.fileno(), f"{os.getpid()}\n".encode())
             return stream

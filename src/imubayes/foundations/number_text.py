@@ -81,7 +81,7 @@ def concise(value: float, sd: float) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Return a number of no stated uncertainty to some significant digits, without an exponent where possible."""
+    """Return a number of no stated uncertainty to some significant digits, without an exponent if possible."""
     if value is None or not math.isfinite(value):
         return NO_NUMBER
     if value == 0:

@@ -1,6 +1,6 @@
 """Numerical helpers that need NumPy alone: means of groups, cross products, quadrature, rounding, inverses.
 
-What is computed with in compiled functions stands in `imubayes.foundations.arrays`, tail probabilities in
+Arrays of compiled functions are in `imubayes.foundations.arrays`, tail probabilities in
 `imubayes.foundations.tail_probabilities`.
 """
 

@@ -11,11 +11,11 @@ _SOONEST = 3.0
 
 
 def silent(text: str) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def counted[Item](tell: Tell, what: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Yield items, and tell before each which of how many it is, and about how long the rest will take.
+    """Yield items, and report before each which of how many it is, and about how long the rest will take.
 
     The estimate is by the steps after the first, which compiles what the others use again.
     """

@@ -51,7 +51,7 @@ class QuantityName:
 
     @property
     def first(self) -> str:
-        """The first label, which is the channel where there is one; empty where there is none."""
+        """The first label, which is the channel if there is one; empty if there is none."""
         return self.labels[0] if self.labels else ""
 
 

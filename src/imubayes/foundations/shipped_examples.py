@@ -67,7 +67,7 @@ def example(name: str) -> Example:
 
 
 def shipped(place: Path) -> Path:
-    """Return where a place of an example is, as short as it can be told from the working directory."""
+    """Return where a place of an example is, as short as it can be given from the working directory."""
     found, here = _HOME / place, Path.cwd()
     return found.relative_to(here) if found.is_relative_to(here) else found
 
@@ -79,7 +79,7 @@ def model_names() -> list[str]:
 
 
 def model_file(model: str | Path) -> Path:
-    """Return the file that a model is named by: a path, or the name of a shipped model where there is no such file.
+    """Return the file that a model is named by: a path, or the name of a shipped model if there is no such file.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def copy_examples(chosen: Iterable[Example], out: Path) -> list[Path]:
     Raises
     ------
     InputError
-        where a file of another content is in the way; nothing is copied then.
+        if a file of another content is in the way; nothing is copied then.
     """
     wanted = list(dict.fromkeys(place for each in chosen for place in (each.data, each.model, *each.others)))
     for source, target in _files(wanted, out):

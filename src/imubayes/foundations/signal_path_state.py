@@ -1,4 +1,4 @@
-"""What travels along the signal path, from the table's motion down to one channel's signal.
+"""The state of the signal path, from the table's motion down to one channel's signal.
 
 The forward model is evaluated at *nodes*: instants at which the stimulus is known.  A recorded row is a mean over
 an interval, so a row owns one node when nothing moved and several, with weights, when the table turned meanwhile.
@@ -71,7 +71,7 @@ class HandMotion(eqx.Module):
     elapsed : time since the pose, s; negative before it.
     rate : inertial rate of the body as its gyros saw it, rad/s, body axes.
     acceleration : its derivative, rad/s².
-    carried : 1 where the unit is carried; 0 if it stands on a table, and all else is the identity or 0.
+    carried : 1 if the unit is carried; 0 if it stands on a table, and all else is the identity or 0.
     """
 
     turn: Matrices
@@ -143,8 +143,8 @@ class Records(eqx.Module):
 class Nodes(eqx.Module):
     """The nodes of all runs, one after the other.
 
-    What lasts as long as a run or pose, its *stand*, is kept once: S stands serve N nodes, and the rotations of
-    table and mounting are worked out once for each of them.
+    The quantities that are constant over a run or pose, its *stand*, are kept once: S stands serve N nodes, and the
+    rotations of table and mounting are worked out once for each of them.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ class SignalPath(eqx.Module):
     Leading axes are stands, then nodes for `motion` and `ambient`, nodes × channels for the others, which are kept
     per kind of channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
     `nodes` are those that the stands are spread over, `records` what effects with memory look back on: None
-    where the unit has been as it is for ever.
+    if the unit has been as it is for ever.
     """
 
     motion: Motion

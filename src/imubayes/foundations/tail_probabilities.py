@@ -107,7 +107,7 @@ def binomial_survival(count: int, trials: int, share: float) -> float:
 def _log_beta_tail(a: Values, b: Values, odds: Values) -> np.ndarray:
     """Return the logarithm of the regularised incomplete beta function at x = 1/(1 + odds).
 
-    1 − x is what counts where x is nearly 1, as for a denominator of 10⁹ degrees of freedom.
+    1 − x is what counts if x is nearly 1, as for a denominator of 10⁹ degrees of freedom.
     """
     a, b, odds = _broadcast(a, b, odds)
     x = 1 / (1 + odds)
@@ -135,7 +135,7 @@ def _broadcast(*values: Values) -> tuple[np.ndarray, ...]:
 
 
 def _log(below: np.ndarray, above: np.ndarray, beyond: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return the logarithm of a tail: from its complement where it is nearly 1, and `beyond` where it underflows."""
+    """Return the logarithm of a tail: from its complement if it is nearly 1, and `beyond` if it underflows."""
     result = np.asarray(np.where(above > 0.5, np.log1p(-np.minimum(below, 0.5)), np.log(np.maximum(above, LEAST_P))))
     far = np.asarray(above < _LEAST_TAIL)
     if far.any():

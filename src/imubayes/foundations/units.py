@@ -24,7 +24,7 @@ ABSURD = 1e30
 DAYS_PER_YEAR = 365.25  # of the Julian year
 # A number with its unit after it, as options state them: `20 degC`.
 NUMBER_AND_UNIT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
-STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where the site is unknown
+STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only if the site is unknown
 
 # name → (factor to SI, power of the site's gravity, dimension as exponents of (rad, s, m, K, A, output, T))
 _RATIO = (0, 0, 0, 0, 0, 0, 0)

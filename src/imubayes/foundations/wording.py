@@ -2,7 +2,7 @@
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it has to be: `1 effect`, `2 effects`, `3 quantities`.
+    """Return a number with its noun, in the plural if it has to be: `1 effect`, `2 effects`, `3 quantities`.
 
     Of several words the last one is the noun.
     """

@@ -5,7 +5,7 @@ errors of a unit, the model of the user, and that model beside missing effects. 
 stands here: the record of a hypothesis, its words, the correction that it asks for, and the values that have a name,
 such as another unit, with their prior odds.
 
-A named value is a point on the open value.  It is told where it is likelier than the open value (Savage and Dickey:
+A named value is a point on the open value.  It is reported if it is likelier than the open value (Savage and Dickey:
 the ratio of posterior to prior density at the point is the Bayes factor).
 """
 
@@ -72,7 +72,7 @@ class NamedValue:
     name : in words, after "as if".
     value : what agrees if the record is so.
     unlikelihood : −2 times the logarithm of how usual it is, over the most usual mistakes.
-    correction : of a column, in words that take the column; empty where that of the open value serves.
+    correction : of a column, in words that take the column; empty if that of the open value serves.
     """
 
     name: str
@@ -215,7 +215,7 @@ def _moved(each: WrongRecord, sd: bool = True) -> str:
 
 
 def correction(each: WrongRecord) -> str:
-    """Return what to change in the record, as a clause; empty where the hypothesis names none."""
+    """Return what to change in the record, as a clause; empty if the hypothesis names none."""
     if each.form == "prior" or not each.run:
         return ""
     run, named, where = f"run '{each.run}'", each.named, _cells(each)
@@ -244,7 +244,7 @@ def _is_sum(each: WrongRecord) -> bool:
 
 
 def _share(each: WrongRecord) -> str:
-    """Return what agrees as a share of what was recorded; empty where nothing was."""
+    """Return what agrees as a share of what was recorded; empty if nothing was."""
     return significant(each.agreeing[0] / each.recorded, 2) if each.agreeing and each.recorded else ""
 
 

@@ -1,1 +1,1 @@
-"""Inference: the joint fit, the posterior, and what the data can tell."""
+"""Inference: the joint fit, the posterior, and what the data can determine."""

@@ -26,7 +26,7 @@ _STANDARD = {
 }
 _INJECTED_G, _RAMP = 10.0, (15.0, 45.0)
 _TEMPERATURES = ("temperature", "converter_temperature")
-# A temperature counts as changed in a run where it moves by this much, degC.
+# A temperature counts as changed in a run if it moves by this much, degC.
 _CHANGED = 2.0
 # A cycle: up at the fastest slope seen, a hold, down at a third of it, a hold; shares of the time against the range.
 _CYCLE = ((0.0, 0.15, 0.45, 0.9, 1.0), (0.0, 1.0, 1.0, 0.0, 0.0))
@@ -169,7 +169,7 @@ def _still(count: int) -> dict[str, np.ndarray]:
 
 
 def _injections(campaign: Campaign) -> list[CandidateRun]:
-    """Return a run with injected current over a converter ramp, where the sensors have a current output."""
+    """Return a run with injected current over a converter ramp, if the sensors have a current output."""
     currents = [c.current_per_acceleration for c in campaign.channels if c.current_per_acceleration]
     if not currents or not any("converter_temperature" in run.covariates for run in campaign.runs):
         return []

@@ -86,7 +86,7 @@ class Checkpoint:
 
     @contextmanager
     def _replaced(self, content: bytes | None = None) -> Iterator[h5py.File]:
-        """Give a file in memory that becomes the checkpoint: HDF5 crashes the process where the disk is full."""
+        """Give a file in memory that becomes the checkpoint: HDF5 crashes the process if the disk is full."""
         with h5py.File.in_memory(content) as file:
             yield file
             file.flush()
@@ -137,7 +137,7 @@ def append(backend: "emcee.backends.HDFBackend", block: "emcee.backends.Backend"
 
 
 def steps_in(path: Path) -> int:
-    """Return how many whole steps a checkpoint holds; 0 where there is none or it cannot be read."""
+    """Return how many whole steps a checkpoint holds; 0 if there is none or it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
             return min((int(ensemble.attrs["iteration"]) for ensemble in file.values()), default=0)  # pyright: ignore

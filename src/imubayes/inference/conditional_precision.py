@@ -1,8 +1,8 @@
 """Precision of θ at any noise scales, and coordinates of the scales for correlated noise.
 
-Where rows are independent but for the offset of their run, and normal, statistics of the linearisation give it
-(`imubayes.inference.scale_statistics`).  Where few rows are correlated, or their noise is slow, it is computed anew for
-each h, by a compiled program; where they are many or have heavy tails, from blocks stored once.
+If rows are independent but for the offset of their run, and normal, statistics of the linearisation give it
+(`imubayes.inference.scale_statistics`).  If few rows are correlated, or their noise is slow, it is computed anew for
+each h, by a compiled program; if they are many or have heavy tails, from blocks stored once.
 
 The offset that all rows of a run share moves their mean alone, so knowledge falls into two parts.  Differences within a
 run do not feel the scatter between runs: with scales d_j = log s_j(h)/s_j(ĥ) their precision and gradient are Σ_j
@@ -12,10 +12,10 @@ T_g the shared variance and n_g the information of its rows on the mean, whateve
 same variance at every h are one block together.
 
 Correlated noise makes a ridge in the posterior of its scales.  Of AR(1) noise r_k = φ r_(k−1) + √(1 − φ²) ε_k a series
-tells the standard deviation of the innovations, σ √(1 − φ²), at once, and σ and φ only after many correlation times: as
-φ nears 1 both grow together, along a curve (Box and Jenkins).  With the scale of the innovations in place of that of
-the noise there is no ridge: in the logarithm of σ √(1 − φ²) the curve is straight.  The shear that leads there does not
-change φ, so its determinant is 1.
+determines the standard deviation of the innovations, σ √(1 − φ²), at once, and σ and φ only after many correlation
+times: as φ nears 1 both grow together, along a curve (Box and Jenkins).  With the scale of the innovations in place of
+that of the noise there is no ridge: in the logarithm of σ √(1 − φ²) the curve is straight.  The shear that leads there
+does not change φ, so its determinant is 1.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ from imubayes.model.noise_covariance import (
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 
-# Run means are of one class where their variances agree to this, relative, at the mode and at a few points besides.
+# Run means are of one class if their variances agree to this, relative, at the mode and at a few points besides.
 _DIGITS, _PROBES = 9, 3
 # Products up to which the precision of correlated rows is computed anew for each draw: half a millisecond.
 _MOST_WORK = 5e6
@@ -99,7 +99,7 @@ class ExactPrecision(eqx.Module):
 
 
 Conditional = ScaleStatistics | PrecisionBlocks | ExactPrecision
-"""What gives precision and gradient of θ at any h."""
+"""Source of precision and gradient of θ at any h."""
 
 
 def conditional(of: Conditional, problem: Problem, h: Float[Array, "n H"]) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +180,7 @@ def run_means(problem: Problem, h: Float[Array, " H"]) -> tuple[np.ndarray, np.n
 
 @np.errstate(divide="ignore")
 def mean_variances(problem: Problem, h: Float[Array, " H"]) -> np.ndarray:
-    """Return the variance of the mean of each run and channel, shared variance included; ∞ where all is masked."""
+    """Return the variance of the mean of each run and channel, shared variance included; ∞ if all is masked."""
     precision, shared = run_means(problem, h)
     return shared + 1 / precision
 
@@ -296,7 +296,7 @@ class InnovationScale:
 
 
 def innovation_scale(problem: Problem, h: Float[Array, " H"]) -> InnovationScale | None:
-    """Return the shear about the mode h; None where no rows are correlated."""
+    """Return the shear about the mode h; None if no rows are correlated."""
     if problem.timeline is not None or not rows_correlate(problem):
         return None
     sensitivity = _by_differences(lambda point: _mean_log_scale(problem, point), h)

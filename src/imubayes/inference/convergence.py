@@ -8,20 +8,20 @@ interval, and those of mean and standard deviation as they are, which ranks do n
 away spoil both.  Walkers that stand still have an effective size, too: their number.  So sizes have to exceed it
 several times.  The log density is judged like a parameter.  A verdict of "no" names the parameter.
 
-What no walker has come near is not seen: a distant mode, or a narrow place that few steps lead to (`BLIND`).
+A region that no walker has come near is not seen: a distant mode, or a narrow place that few steps lead to (`BLIND`).
 
-A chain that has not yet been where its proposal is too thin agrees with itself.  So chains of a proposal are also held
+A chain that has not yet been if its proposal is too thin agrees with itself.  So chains of a proposal are also held
 against draws of that proposal weighted by the posterior, which reach farther than the chain does: the weights must have
 a tail that lets them (Pareto k̂), and the standard deviations must agree.  With a proposal draws are cheap, and the
 chains are as long as the standard deviations and 95 % intervals of all parameters need.
 
-An effective size alone does not say how well a chain tells these numbers: where a scatter between few runs has a wide
+An effective size alone does not say how well a chain determines these numbers: if a scatter between few runs has a wide
 posterior, a bias is a mixture of narrow and wide normal distributions with a kurtosis of 30 to 100, and the standard
 deviation of 12 000 independent draws has an error of 2 to 4 % instead of the 0.6 % of a normal one.  So chains go on
 until the probability that any of these numbers is farther from the truth than the bars is small: the sum over all
 parameters of the normal probability at their own errors (Bonferroni).  Standard deviations alone are not waited for
-beyond a length: where a lognormal scatter is told by its prior alone, the fourth moment that their error takes settles
-after millions of draws.
+beyond a length: if a lognormal scatter is determined by its prior alone, the fourth moment that their error takes
+settles after millions of draws.
 
 Errors of standard deviations are those of ArviZ.  Those of the ends of 95 % intervals are √(p (1 − p)/n)/f with n the
 effective size at the quantile and f the density there, from the quantiles at p/2 and 2p: the spacing of one error that
@@ -69,7 +69,7 @@ class ChainErrors:
         return float(2 * normal_survival(END_BAR * np.sqrt(longer) / self.end).sum())
 
     def longer(self) -> float:
-        """Return how many times the length the chains need; at most 1 where they are long enough."""
+        """Return how many times the length the chains need; at most 1 if they are long enough."""
         if not np.all(np.isfinite(self.sd)) or not np.all(np.isfinite(self.end)):
             return _LONGEST
         low, high = np.log(1 / _LONGEST), np.log(_LONGEST)
@@ -79,7 +79,7 @@ class ChainErrors:
         return float(np.exp(high))
 
     def inexact_ends(self, names: Sequence[str]) -> list[str]:
-        """Return the interval whose ends are told worst, in words, where chains are too short for intervals."""
+        """Return the interval whose ends are determined worst, in words, if chains are too short for intervals."""
         if self.chance_of_ends() <= MOST_CHANCE:
             return []
         of_end = self.end.max(axis=1)
@@ -125,15 +125,15 @@ BLIND = (
     "The verdict covers only the regions that the ensembles visited: it does not see a mode that no walker came near, "
     "nor a region so narrow that no step led there."
 )
-"""What a verdict of convergence cannot see."""
-# A standard deviation that asks for more draws than this is of a parameter of which the interval tells more.
+"""Limits of a verdict of convergence."""
+# A standard deviation that asks for more draws than this is of a parameter of which the interval shows more.
 MOST_DRAWS = 100_000
-# Where the weights have a heavy tail a chain has to leave the place of the largest weight several times to be believed;
+# If the weights have a heavy tail a chain has to leave the place of the largest weight several times to be believed;
 # above this index of the tail no practical length is enough (Vehtari et al. 2024).
 WORST_PARETO_K = 0.7
 # A walker stays for as many steps as the weight of its place; a chain takes so many times the largest weight.
 STAYS = 3
-# Standard deviations of chain and of weighted draws disagree where they differ by this share and by so many errors.
+# Standard deviations of chain and of weighted draws disagree if they differ by this share and by so many errors.
 _SD_SHARE, _SD_ERRORS = 0.05, 4.5
 
 
@@ -148,7 +148,7 @@ class Convergence:
     converged : whether all bars are met.
     settled : whether all bars are met that more steps could meet.
     message : what is not, in one sentence; empty when converged.
-    longer : how many times the length the Monte Carlo errors ask for; at most 1 where they are small enough.
+    longer : how many times the length the Monte Carlo errors ask for; at most 1 if they are small enough.
     least_size, needed_size : smallest effective size of all, the log density included, and the one asked for.
     """
 
@@ -174,12 +174,12 @@ def diagnose(
     chain : shape (ensembles, steps, walkers, D), burn-in removed.
     log_density : shape (ensembles, steps, walkers).
     names : of the D parameters.
-    weighed : the proposal of the chains with its importance weights, where they have one.
+    weighed : the proposal of the chains with its importance weights, if they have one.
     """
     _, steps, _, dimensions = chain.shape
     flat = _by_walker(chain)
     judged, labels = chain, [*names]
-    if np.ptp(log_density) > 0:  # it is not where the density is uniform
+    if np.ptp(log_density) > 0:  # it is not if the density is uniform
         judged, labels = np.concatenate([chain, log_density[..., None]], axis=-1), [*names, LOG_DENSITY]
     judged = judged[:, :: math.ceil(steps / _MOST_JUDGED)]
     sizes, r_hat = _effective_sizes(judged), nested_r_hat(_halves(judged))
@@ -220,7 +220,7 @@ def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
 
 
 def far_below(log_density: np.ndarray) -> float:
-    """Return the log density below which no draw is expected to be, from those of all draws; −∞ where they do not tell.
+    """Return the log density below which no draw is expected, from those of all draws; −∞ if they do not determine it.
 
     A place that holds a share of the posterior, however low its density, widens the quartiles.
     """
@@ -230,7 +230,7 @@ def far_below(log_density: np.ndarray) -> float:
 
 
 def _strays(log_density: np.ndarray) -> list[str]:
-    """Return how many walkers began far below the bulk where none went from it; shape (ensembles, steps, walkers)."""
+    """Return how many walkers began far below the bulk if none went from it; shape (ensembles, steps, walkers)."""
     far = log_density < far_below(log_density)
     entered = far[:, 1:] & ~far[:, :-1]
     strays = int(far.any(axis=1).sum())

@@ -1,7 +1,7 @@
 """The mode of a log density that JAX can differentiate, and the normal distribution about it.
 
 Strongly correlated parameters make a ridge; starts of the right standard deviations without the correlations lie far
-off it, and walkers that begin there may never arrive.  A JAX function tells its gradient, so the mode is found by
+off it, and walkers that begin there may never arrive.  A JAX function has a gradient, so the mode is found by
 Newton steps and the correlations come with it.
 """
 
@@ -64,7 +64,7 @@ def normal_about_mode(
 ) -> NormalProposal | None:
     """Return the Laplace approximation of a log density, from Newton steps with the absolute values of its curvatures.
 
-    None where no mode is found.
+    None if no mode is found.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def normal_about_mode(
 
 
 def differentiable(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> Single | None:
-    """Return the log density of one point (x − start)/scale, (D,); None where JAX cannot differentiate it.
+    """Return the log density of one point (x − start)/scale, (D,); None if JAX cannot differentiate it.
 
-    None as well in single precision, where differences of gradients tell no curvature.
+    None as well in single precision, where differences of gradients give no curvature.
     """
 
     def single(scaled: jax.Array) -> jax.Array:

@@ -1,9 +1,9 @@
 """The search for a proposal of a user's density, and what chains from the stated starts say against it.
 
-Where JAX tells the curvature, the normal distribution about the mode that Newton steps find from the start comes first.
-It may be one mode of several, or a spike that holds next to nothing; and where it is right, heavier tails than its own
+If JAX gives the curvature, the normal distribution about the mode that Newton steps find from the start comes first.
+It may be one mode of several, or a spike that holds next to nothing; and if it is right, heavier tails than its own
 make weights large.  So a chain from the stated starts, which knows nothing of it, has to agree: a place where this
-chain stays and the proposal nearly never comes has a weight beyond all that were drawn.  Where it does not agree, or no
+chain stays and the proposal nearly never comes has a weight beyond all that were drawn.  If it does not agree, or no
 mode is found, ensembles from the stated starts lay out where the density is, and a mixture is fitted to them
 (`imubayes.inference.mixture_proposal`), which finds the shares of places that no chain goes between.
 """
@@ -67,7 +67,7 @@ class ProposalSearch:
 
         Parameters
         ----------
-        laplace : the normal distribution about the mode; None where none was found.
+        laplace : the normal distribution about the mode; None if none was found.
         """
         found = None if laplace is None else self._about_mode(laplace)
         return found if found is not None else self._laid_out()
@@ -117,7 +117,7 @@ class ProposalSearch:
         return None if judged is None else self._weighed(best)
 
     def _weighed(self, proposal: Proposal) -> WeighedProposal | None:
-        """Return a proposal with its weights; None where they say that it does not hold the density."""
+        """Return a proposal with its weights; None if they say that it does not hold the density."""
         ensembles, seed = self.settings.ensembles, self.settings.seed
         count = math.ceil(max(_TRIAL, sum(map(len, self.starts))) / ensembles)
         weigher = weigh_tail if self._affords(10 * _TRIAL) else weigh
@@ -145,7 +145,7 @@ class ProposalSearch:
 
 
 def agrees(found: WeighedProposal, points: np.ndarray, height: np.ndarray) -> bool:
-    """Tell whether walkers that know nothing of a proposal are where it comes often enough.
+    """Return whether walkers that know nothing of a proposal are where it comes often enough.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def finite_starts(
 ) -> list[np.ndarray]:
     """Return points of positive density about a start for each ensemble, (count, D).
 
-    They are drawn from a normal distribution, and from narrower ones about the same start where most of its draws have
+    They are drawn from a normal distribution, and from narrower ones about the same start if most of its draws have
     none; copies of those that were found, if these do not suffice.
     """
     random, needed = np.random.default_rng(seed), count * ensembles

@@ -1,7 +1,7 @@
 """Combinations of parameters that the data determine although they do not determine the parameters themselves.
 
 A weak direction leaves all its members uncertain, but not every function of them: D_F and D_II of a tumble may be known
-to 0.06 °/h each and their sum to 0.002 °/h.  With C the posterior covariance a combination wᵀx is determined where
+to 0.06 °/h each and their sum to 0.002 °/h.  With C the posterior covariance a combination wᵀx is determined if
 √(wᵀCw) is less than the largest |w_i| √C_ii: than half of it for the standard combinations, which need no search, and
 than a fifth for others.  That member is then uncertain together with others, as no sum of independent terms is better
 known than one of them; a parameter that is known by itself combines with nothing.  Members whose own prior is narrow,
@@ -9,7 +9,7 @@ such as K3 beside K1, may contribute no more than the combination does.
 
 The standard combinations of the procedures come first, whether a weak direction or a mere correlation joins their
 members.  Then comes, for every parameter whose posterior variance comes mostly from weak directions, the residual of
-its regression on the fewest others, which is sparse where an echelon form of the well-determined subspace is not, with
+its regression on the fewest others, which is sparse if an echelon form of the well-determined subspace is not, with
 coefficients rounded as far as the uncertainty allows.  Every combination that is returned adds a direction to those
 before it.  Since the weights are constants, the posterior of a combination is calibrated as that of its members is,
 whatever the rounding.
@@ -24,13 +24,13 @@ import numpy as np
 from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.procedures.fitted_terms import LinearCombination, ProjectedScaleFactor, StandardCombination
 
-# A parameter is a member where weak directions contribute more than this share of its posterior variance.
+# A parameter is a member if weak directions contribute more than this share of its posterior variance.
 _FROM_WEAK = 0.5
-# A combination is determined where its standard deviation is below this share of what its leading member contributes.
+# A combination is determined if its standard deviation is below this share of what its leading member contributes.
 MUCH_LESS = 0.2
-# A standard combination, which the test is made for, needs no search: it is reported where it is twice as well known.
+# A standard combination, which the test is made for, needs no search: it is reported if it is twice as well known.
 HALF = 0.5
-# Another member is worth while where it divides the standard deviation by the first of these, or by the second where
+# Another member is worth while if it divides the standard deviation by the first of these, or by the second if
 # without it nothing is determined; what it adds must be that much larger than what rounding its weight may add.
 _WORTH, _NEEDED, _ROUNDING_COST = 4.0, 2.0, 1.25
 _MOST_MEMBERS, _MOST_DIGITS = 8, 5
@@ -51,7 +51,7 @@ class DeterminedCombination:
     unit : of the combination.
     constant : in `unit`.
     symbol : of the standard combination; empty for one that has none.
-    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
+    middle_of : run in the middle of whose record it holds, if it changes with time; else empty.
     """
 
     quantities: tuple[str, ...]
@@ -148,7 +148,7 @@ def _part_of_one(standard: LinearCombination, found: Sequence[DeterminedCombinat
 
 
 def _linear(standard: LinearCombination, parameters: Draws, space: _Space) -> DeterminedCombination | None:
-    """Return a standard sum of parameters where it is determined and its leading member is not."""
+    """Return a standard sum of parameters if it is determined and its leading member is not."""
     place = {name: index for index, name in enumerate(parameters.names)}
     known = {name: weight for name, weight in standard.weights.items() if name in place}
     if not known or (len(known) < len(standard.weights) and not standard.total):
@@ -167,7 +167,7 @@ def _linear(standard: LinearCombination, parameters: Draws, space: _Space) -> De
 def _projected(
     standard: ProjectedScaleFactor, derived: Draws, parameters: Draws, space: _Space
 ) -> DeterminedCombination | None:
-    """Return k cos θ where it is much better determined than k and than θ."""
+    """Return k cos θ if it is much better determined than k and than θ."""
     if standard.scale not in derived.names or standard.angle not in derived.names:
         return None
     scale, angle = (derived.values[:, derived.names.index(name)] for name in (standard.scale, standard.angle))
@@ -221,7 +221,7 @@ def _fewest(correlation: np.ndarray, lead: int) -> np.ndarray | None:
         kept = _without_superfluous(correlation, lead, others)
         weights = _residual(correlation, lead, kept)
         reached = _spread(correlation, weights)
-        # Where a shorter one is determined, each further member must be much less known than the sum.
+        # If a shorter one is determined, each further member must be much less known than the sum.
         clear = reached < MUCH_LESS * np.min(np.abs(weights[[lead, *kept]]))
         if (clear or (best is None and _determined(weights, reached))) and reached < deviation / _WORTH:
             best, deviation = weights, reached

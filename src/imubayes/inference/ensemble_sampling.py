@@ -1,7 +1,7 @@
 """Sampling: independent emcee ensembles that run until they agree.
 
 Four ensembles, each of its own seed, begin from fits that were started far apart in the prior, so that a second
-mode, where there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each
+mode, if there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each
 block the checkpoint is replaced as a whole and convergence is judged.
 
 How long a chain has to be follows from the importance weights of its proposal: a walker stays for as many steps as the
@@ -41,12 +41,12 @@ else:
 _OTHERS_SHARE_LAPLACE, _OTHERS_SHARE = 0.04, 0.4
 # Beside a mixture that is mostly refused, as at the corner of hard edges, they free the walkers that it leaves there.
 _OTHERS_SHARE_MIXTURE = 0.3
-# Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
+# Short steps of the Laplace move, and the share of them; if independent draws are mostly refused, half of all.
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
 _HARD_ACCEPTANCE = 0.5
 _BURN_IN, _BLOCK = 5, 5
-# So many draws of all ensembles together are taken even where fewer would do, and so many steps.
+# So many draws of all ensembles together are taken even if fewer would do, and so many steps.
 _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 # Draws beyond those asked for, so that the next judgement mostly is the last; and how many times the length at once:
 # what a short chain says of its tails is rough.
@@ -91,10 +91,10 @@ def sample(
     log_density : points (n, D) → (n,).
     starts : for each ensemble its first points, shape (walkers, D).
     names : of the D parameters.
-    checkpoint : created or checked before; where it holds steps, they are continued.
+    checkpoint : created or checked before; if it holds steps, they are continued.
     weighed : the Laplace proposal with its importance weights; None without one.
     progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
-    gradients : the move of most steps where there is no proposal; None for stretch and DE moves alone.
+    gradients : the move of most steps if there is no proposal; None for stretch and DE moves alone.
     budget : of evaluations, which what counts them goes beyond by a block at most; None without a bound.
     """
     ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed, gradients)
@@ -250,7 +250,7 @@ def _others_share(weighed: WeighedProposal) -> float:
 
 
 def _good(weighed: WeighedProposal | None) -> bool:
-    """Tell whether there are independent proposals that are mostly taken."""
+    """Return whether there are independent proposals that are mostly taken."""
     return weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
 
 

@@ -47,10 +47,10 @@ def with_planned(fit: Fit, elsewhere: bool = False) -> tuple[Fit, list[Candidate
 
 
 def next_runs(fit: Fit, weak: Sequence[WeakDirection], from_data: Mapping[str, float | None]) -> tuple[NextRun, ...]:
-    """Return, for each quantity the data left open, the run that would narrow it most; empty where none would.
+    """Return, for each quantity the data left open, the run that would narrow it most; empty if none would.
 
     Quantities are the members of confusions first, then scale factors and mounting angles, then parameters of sensor
-    and converter.  A run counts only where it narrows a quantity by at least a tenth.
+    and converter.  A run counts only if it narrows a quantity by at least a tenth.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class ExpectedDeviations(NamedTuple):
 def expected_deviations(fit: Fit, quantities: Sequence[Components]) -> ExpectedDeviations:
     """Return the candidate runs and the standard deviations of quantities before and after each of them.
 
-    What came with the candidate runs, such as their tables and mountings, changes no quantity of the fit.
+    Equipment of the candidate runs, such as tables and mountings, changes no quantity of the fit.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def expected_deviations(fit: Fit, quantities: Sequence[Components]) -> ExpectedD
 
 
 def _deviation(quantity: Components, before: np.ndarray, after: np.ndarray) -> float:
-    """Return the standard deviation of a quantity that is expected where its components narrow to `after`."""
+    """Return the standard deviation of a quantity that is expected if its components narrow to `after`."""
     if len(quantity.at_mode) == 1:
         return float(np.sqrt(after[0, 0]))
     return expected_length_deviation(quantity.at_mode, before, after)

@@ -1,4 +1,4 @@
-"""A fit in memory: the model with its posterior mode and, where it was made in this process, its posterior."""
+"""A fit in memory: the model with its posterior mode and, if it was made in this process, its posterior."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ class Posterior:
     derived : shape (S, D), the derived quantities of the points in their units.
     prior_points, prior_derived : shapes (S″, P) and (S″, D), draws of the prior in z, and what is derived from them.
     approximation : the nested Laplace approximation.
-    chains : the sampled chains, of which `points` are all; None where the draws are of the Laplace approximation.
+    chains : the sampled chains, of which `points` are all; None if the draws are of the Laplace approximation.
     """
 
     points: np.ndarray
@@ -44,12 +44,12 @@ class Fit:
     model : as declared.
     z, h : shapes (P,) and (H,), the posterior mode of parameters and noise scales, in z.
     optimised : whether the optimiser converged, at estimates that a unit can have.
-    message : what did not converge, in a sentence; empty where all did.
+    message : what did not converge, in a sentence; empty if all did.
     implausible, unexplained : estimates that no working unit has, and channels that the model does not describe.
     mode : outcome of the optimiser; None for a fit read from a result folder.
-    posterior : draws; None where the fit did not converge, or was read from a result folder.
+    posterior : draws; None if the fit did not converge, or was read from a result folder.
     seconds : time spent, by step.
-    sampled : whether the sampling, where there was any, converged.
+    sampled : whether the sampling, if there was any, converged.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the optimiser, and the sampling where there was any, converged."""
+        """Whether the optimiser, and the sampling if there was any, converged."""
         return self.optimised and self.sampled
 
     @cached_property

@@ -54,7 +54,7 @@ class GradientMove:
 
         def transition(key: jax.Array, point: jax.Array) -> tuple[jax.Array, ...]:
             state, about = kernel(key, step_size.init((point - start) / scale, density), density, _STEP, metric, _LEAPS)
-            # One trajectory more than the doublings tells that they suffice, and one is the transition.
+            # One trajectory more than the doublings shows that they suffice, and one is the transition.
             tried = jnp.abs(about.step_index) + jnp.abs(about.reverse_step_index) + 5
             return start + scale * state.position, state.logdensity, about.is_accepted, tried
 

@@ -1,4 +1,4 @@
-"""What the data determined and what they did not, and which estimates, priors and outputs disagree with a fit.
+"""Quantities that the data determined or did not, and estimates, priors and outputs that disagree with a fit.
 
 For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number is
 an eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that the
@@ -41,7 +41,7 @@ WEAK_SHARE = 0.5
 """A direction is reported where the data contributed less than this share of the knowledge."""
 # Members of a combination below this share of its largest are left out of its name.
 _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
-# A pair of derived quantities is a confusion where its worst combination is this unresolved, or where the two move
+# A pair of derived quantities is a confusion if its worst combination is this unresolved, or if the two move
 # together like this, along a direction that is this unresolved.
 _CONFUSED_SHARE, _CONFUSED_CORRELATION = 0.1, 0.95
 
@@ -139,7 +139,7 @@ def confusions(
     names: Sequence[str],
     pairs: Sequence[tuple[int, int]],
 ) -> list[WeakDirection]:
-    """Return pairs of derived quantities that the data do not tell apart, the worst first.
+    """Return pairs of derived quantities that the data do not distinguish, the worst first.
 
     Parameters
     ----------

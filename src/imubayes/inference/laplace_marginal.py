@@ -2,11 +2,11 @@
 
 About a point the model is linear, y − f ≈ e − J δ, and the data speak of θ through precision, gradient and quadratic
 form, each a function of the hyperparameters.  With Σ(h) = D + Σ_g T_g 1 1ᵀ every product with Σ⁻¹ is a weighted sum
-less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.  Where rows are
+less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.  If rows are
 correlated J and e pass the filter of their series first.
 
 The linearisation is a compiled program.  All that follows is NumPy: the marginal and its gradient come from statistics
-of the linearisation (`imubayes.inference.scale_statistics`).  Only where rows are correlated or have heavy tails is the
+of the linearisation (`imubayes.inference.scale_statistics`).  Only if rows are correlated or have heavy tails is the
 gradient taken automatically, by a compiled program.
 
 The mode of h is found by quasi-Newton steps: the Hessian is computed once, by differences of the gradient, then updated
@@ -100,15 +100,15 @@ def inverse_within(precision: np.ndarray, basis: np.ndarray) -> np.ndarray:
 
 
 _MOST_STEPS = 60
-# A step is short where no component of h changes by this much, in prior standard deviations.
+# A step is short if no component of h changes by this much, in prior standard deviations.
 _SHORT = 1e-3
-# The same where the Hessian is only learnt: a step that it makes too short is still short of _SHORT.
+# The same if the Hessian is only learnt: a step that it makes too short is still short of _SHORT.
 _SHORT_LEARNT = 1e-5
 # Half the distance of the central differences of the gradient: six digits of the curvature.
 _APART = 1e-3
 # A decrease below this is rounding; shortest fraction of a step that is tried.
 _ROUNDING, _SHORTEST = 1e-9, 1e-3
-# The rank-one update is skipped where step and secant error are this close to orthogonal: its denominator vanishes.
+# The rank-one update is skipped if step and secant error are this close to orthogonal: its denominator vanishes.
 _TELLING = 1e-8
 # Far from the mode a density may overflow; what is not finite is never taken.
 _SILENT = np.errstate(all="ignore")
@@ -141,7 +141,7 @@ class ScaleMarginal:
 
     Attributes
     ----------
-    statistics : None where rows are correlated or have heavy tails.
+    statistics : None if rows are correlated or have heavy tails.
     """
 
     def __init__(self, problem: Problem, about: Linearised):
@@ -204,8 +204,8 @@ def climb(
     ----------
     problem, about : the model, and its linearisation about θ.
     h : shape (H,), the start.
-    information : shape (H, H), negative Hessian at the start, or at a point nearby; computed where None.
-    judged : whether the end is judged by the Hessian there.  Where not, the Hessian is the one learnt from the steps,
+    information : shape (H, H), negative Hessian at the start, or at a point nearby; computed if None.
+    judged : whether the end is judged by the Hessian there.  If not, the Hessian is the one learnt from the steps,
         and costs nothing: enough for a value of the marginal, which is flat at its mode, but not for a width.
     """
     return climbed(ScaleMarginal(problem, about), np.asarray(h), information, judged=judged)
@@ -233,7 +233,7 @@ def climbed(
 
 
 def _is_short(step: np.ndarray, short: float) -> bool:
-    """Tell whether a step is short; one that is not a number counts as short."""
+    """Return whether a step is short; one that is not a number counts as short."""
     return not (step.size and float(np.max(np.abs(step))) >= short)
 
 
@@ -255,7 +255,7 @@ def _newton_step(at: Curvature) -> np.ndarray:
 def _ahead(
     marginal: ScaleMarginal, h: np.ndarray, at: Curvature, step: np.ndarray
 ) -> tuple[MarginalSlope | None, float]:
-    """Return the marginal after a step, shortened until it does not descend, and its length; None where all do."""
+    """Return the marginal after a step, shortened until it does not descend, and its length; None if all do."""
     length = 1.0
     while length > _SHORTEST:
         ahead = marginal.slope(h + length * step)

@@ -3,12 +3,12 @@
 The emcee move proposes from the approximation with exact Metropolis–Hastings weights: whatever the quality of the
 approximation, the chain has the posterior as its stationary distribution; the quality decides the acceptance alone.
 
-How well a proposal covers the posterior is told by the importance weights of independent draws.  A chain of independent
-proposals stays as long at a point as its weight w = posterior/proposal is large, and where w is large it rarely comes:
-a short chain that looks converged may never have seen such a place.  The weights of draws tell it before the chain
-does.  Their tail has the index k̂ of a generalised Pareto distribution: above 0.7 no number of draws that is practical
-represents the posterior (Vehtari, Simpson, Gelman, Yao & Gabry 2024).  The largest weight is the number of steps for
-which a walker stays where it was found, and so the measure of how long a chain has to be.
+How well a proposal covers the posterior is determined by the importance weights of independent draws.  A chain of
+independent proposals stays as long at a point as its weight w = posterior/proposal is large, and if w is large it
+rarely comes: a short chain that looks converged may never have seen such a place.  The weights of draws show it before
+the chain does.  Their tail has the index k̂ of a generalised Pareto distribution: above 0.7 no number of draws that is
+practical represents the posterior (Vehtari, Simpson, Gelman, Yao & Gabry 2024).  The largest weight is the number of
+steps for which a walker stays where it was found, and so the measure of how long a chain has to be.
 """
 
 import importlib
@@ -111,7 +111,7 @@ class LaplaceProposal:
 
 
 class LaplaceMove:
-    """Move every walker in the coordinates of the proposal, where the posterior is close to standard normal.
+    """Move every walker in the coordinates of the proposal, if the posterior is close to standard normal.
 
     u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
     a move is accepted with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw;
@@ -170,12 +170,12 @@ class LaplaceMove:
 # Above this index of the weights' tail their variance is infinite, and neither weighted moments nor their errors mean
 # anything.  A scatter that a proposal follows to first order alone gives 0.5 to 0.9.
 PARETO_K = 0.5
-# Where the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
+# If the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and how the weights are distributed below it does not matter.
 LARGEST_WEIGHT = 10.0
 # Weights that differ by less are those of the posterior itself, and have no tail.
 _ALIKE = 1e-6
-# How many times the draws where the tail of the weights matters.  The index of 4000 weights, from the 190 of its tail,
+# How many times the draws if the tail of the weights matters.  The index of 4000 weights, from the 190 of its tail,
 # has a standard error of (1 + k)/√190 = 0.12: of one proposal of index 0.54 three trials gave 0.42, 0.53 and 0.72.
 _MORE = 8
 
@@ -193,7 +193,7 @@ class WeighedProposal:
     points : shape (pools, n, D), independent draws of the proposal.
     weight : shape (pools, n), posterior over proposal, of mean 1; 0 where the posterior density is 0.
     pareto_k : tail index of the weights.
-    log_mass : logarithm of the mean weight before it was made 1, the integral of the density where draws met it.
+    log_mass : logarithm of the mean weight before it was made 1, the integral of the density if draws met it.
     """
 
     proposal: Proposal
@@ -239,7 +239,7 @@ class WeighedProposal:
 def weigh_tail(
     log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int
 ) -> WeighedProposal | None:
-    """Return weighted draws as `weigh` does, more of them where their weights have a heavy tail."""
+    """Return weighted draws as `weigh` does, more of them if their weights have a heavy tail."""
     weighed = weigh(log_density, proposal, pools, count, seed)
     if weighed is None or not weighed.heavy_tailed:
         return weighed
@@ -249,7 +249,7 @@ def weigh_tail(
 def weigh(log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int) -> WeighedProposal | None:
     """Return `count` weighted draws of a proposal in each of several pools.
 
-    None where no draw of a pool is possible.
+    None if no draw of a pool is possible.
     """
     points, log_weights = [], []
     for pool in range(pools):

@@ -68,7 +68,7 @@ class _Factorised(eqx.Module):
 class _ScaledDescent(optx.AbstractDescent[Any, Any, _Factorised]):
     """The damped step: the least-squares solution of [J; √λ·diag(scale)] δ = [−r; 0] (Marquardt 1963).
 
-    The scale of a parameter never decreases (Moré 1978), so that a parameter stays damped where its column vanishes far
+    The scale of a parameter never decreases (Moré 1978), so that a parameter stays damped if its column vanishes far
     from the minimum.  One QR per accepted point serves all dampings tried there.
     """
 
@@ -149,7 +149,7 @@ def minimise(
     most_steps : limit of the number of steps; a fit that reaches it is not successful.
     linear_solver : of the damped step with one scale for all parameters; None for scaled damping by QR.  In that case
         success means that the remaining undamped step is small compared with the parameters or their standard errors,
-        whatever ended the iteration: a plateau, where damping makes the steps short, is not a minimum.
+        whatever ended the iteration: a plateau, if damping makes the steps short, is not a minimum.
     has_aux : whether the residual returns a pair; its second member at the last accepted point is returned as `aux`.
     """
     pair = residual if has_aux else lambda x, given: (residual(x, given), None)

@@ -32,7 +32,7 @@ def of_equipment() -> tuple[str, ...]:
 
 
 def untold_effects(model: Model) -> tuple[str, ...]:
-    """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
+    """Return the effects of sensors of a model of which the runs determine less than a tenth, beside all others."""
     known = linear_information(model)
     owner, told = known.owner, 1 - np.diag(inverse_of_precision(known.precision)) / known.widths**2
     others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}

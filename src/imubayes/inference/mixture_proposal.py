@@ -1,9 +1,9 @@
 """Mixtures of Student's t distributions as proposals, fitted to what is known of a density.
 
-Where the density is no normal distribution about one mode, draws of it show where it lies: far apart, beside an edge,
+If the density is no normal distribution about one mode, draws of it show where it lies: far apart, beside an edge,
 in heavy tails.  A mixture is fitted to them by expectation–maximisation; its own draws, weighted by the density, are
 fitted in turn, which finds the shares of places between which no chain went (population Monte Carlo: Cappé, Douc,
-Guillin, Marin, Robert 2008).  Tails are those of Student's t, so that weights stay bounded where those of a normal
+Guillin, Marin, Robert 2008).  Tails are those of Student's t, so that weights stay bounded if those of a normal
 proposal do not; no share falls to nothing, so that a place where a chain was stays covered.
 """
 
@@ -21,13 +21,13 @@ from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal,
 FREEDOM = 8.0
 """Degrees of freedom: heavier tails than those of posteriors of some tens of readings, and weights of a normal density
 below 3 in eight dimensions."""
-# Parts of a mixture, fewer where draws are few: so many draws a part for each dimension determine its covariance.
+# Parts of a mixture, fewer if draws are few: so many draws a part for each dimension determine its covariance.
 _PARTS, _DRAWS_A_DIMENSION = 16, 20
 # Steps of expectation–maximisation on one set of draws.
 _ITERATIONS = 20
 # No share of a part falls below this, of equal shares.
 _LEAST_SHARE = 0.05
-# A covariance is taken from weighted draws worth so many a dimension, and kept where they are worth less.
+# A covariance is taken from weighted draws worth so many a dimension, and kept if they are worth less.
 _WORTH = 4.0
 # A refit that gains less in acceptance is the last.
 _GAIN = 1.02
@@ -124,7 +124,7 @@ def about_normal(centre: np.ndarray, axes: np.ndarray) -> MixtureProposal:
 
 
 def fitted_to(draws: np.ndarray, seed: int) -> MixtureProposal | None:
-    """Return the mixture fitted to draws (S, D); None where they span no volume."""
+    """Return the mixture fitted to draws (S, D); None if they span no volume."""
     size = draws.shape[1]
     spread = draws.std(axis=0)
     if not np.all(spread > 0) or len(draws) < _DRAWS_A_DIMENSION * size:
@@ -166,7 +166,7 @@ def refitted(mixture: MixtureProposal, points: np.ndarray, weight: np.ndarray) -
 
 
 def _root(covariance: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return the Cholesky factor of a covariance (D, D), with next to nothing added where it is singular."""
+    """Return the Cholesky factor of a covariance (D, D), with next to nothing added if it is singular."""
     relative = covariance / np.outer(spread, spread)
     relative = relative + 1e-9 * np.trace(relative) / len(spread) * np.eye(len(spread))
     return spread[:, None] * np.linalg.cholesky(relative)

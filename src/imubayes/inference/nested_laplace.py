@@ -10,7 +10,7 @@ leave to the prior are curved ridges: along them the strong directions are bent 
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
 not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
 its quality.  A wide angle beside a sensor that is accurate to its third power leaves that parabola: there the strong
-directions are solved for along the ridge.  Where the marginal of a weak direction is not normal it is tabulated, too
+directions are solved for along the ridge.  If the marginal of a weak direction is not normal it is tabulated, too
 (`imubayes.inference.tabulated_directions`).
 """
 
@@ -47,7 +47,7 @@ from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, hyper_prior_square, predict_many, prior_widths
 
-# A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
+# A direction is weak if its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
@@ -57,11 +57,11 @@ _MOST_WEAK = 60
 _RIDGE_POINTS, _ON_RIDGE, _MOST_CHORDS = 32, 0.3, 4
 # Where the marginal of h is evaluated along each axis, in units of its width at the mode,
 _PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])
-# and, for other maxima, over the whole prior, in z: a scatter at the lower end is zero for all that data can tell.
+# and, for other maxima, over the whole prior, in z: a scatter at the lower end is zero for all that data can determine.
 _SURVEY = np.linspace(-3.5, 3.5, 15)
-# Another maximum counts where it is less than this below the highest, and this above what lies between.
+# Another maximum counts if it is less than this below the highest, and this above what lies between.
 _HOPELESS, _APART = 15.0, 0.1
-# Log density, relative to the mode, where the marginal is not finite.
+# Log density, relative to the mode, if the marginal is not finite.
 _NOWHERE = -200.0
 # Draws whose precisions are formed and factored together: of more, what is read again is no longer in the cache.
 _AT_ONCE = 64
@@ -76,15 +76,15 @@ class NestedLaplace:
     Attributes
     ----------
     z, h : the mode.
-    hyper_axes : shape (H, H), columns are the axes of the marginal of h, or of u where there is a ridge: unit lower
-        triangular, the identity where the scales are independent.
+    hyper_axes : shape (H, H), columns are the axes of the marginal of h, or of u if there is a ridge: unit lower
+        triangular, the identity if the scales are independent.
     along : the marginal along each axis, from the mode.
     blocks : precision of θ given h.
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
-    shape : marginals of weak directions that are not normal; None where all are.
-    ridge : coordinates u in which the scales of correlated noise have no ridge; None where no rows are correlated.
-    along_ridge : what is left of the ridge beside the bend; None where that is far below the noise.
+    shape : marginals of weak directions that are not normal; None if all are.
+    ridge : coordinates u in which the scales of correlated noise have no ridge; None if no rows are correlated.
+    along_ridge : what is left of the ridge beside the bend; None if that is far below the noise.
     """
 
     z: Float[Array, " P"]
@@ -167,7 +167,7 @@ def bends(problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarray, inv
 
 
 def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None" = None) -> NestedLaplace:
-    """Return the proposal about a mode; `marginal` is that of its noise scales, where it is at hand."""
+    """Return the proposal about a mode; `marginal` is that of its noise scales, if it is at hand."""
     weak, reach, bend = curved_directions(problem, mode)
     shape, chords = (
         tabulated_directions(problem, mode, weak, reach, bend),
@@ -205,7 +205,7 @@ def curved_directions(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndar
 def chord_steps(
     problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarray, bend: np.ndarray
 ) -> ChordSteps | None:
-    """Return the steps that lead from bent points to the ridge; None where the bend does, or where they would not.
+    """Return the steps that lead from bent points to the ridge; None if the bend does, or if they would not.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class HyperMarginal:
 
 
 def hyper_marginal(problem: Problem, mode: Mode) -> HyperMarginal:
-    """Return the marginal of h, or of u where there is a ridge, along each of its axes."""
+    """Return the marginal of h, or of u if there is a ridge, along each of its axes."""
     information, ridge = np.asarray(mode.marginal.information), innovation_scale(problem, mode.h)
     if ridge is not None:
         information = ridge.straightened_information(problem, mode.h, information)
@@ -317,7 +317,7 @@ class HyperProbes:
 def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
     """Return where to evaluate the marginal of h, from its mode (H,) and its negative Hessian (H, H) there."""
     eigenvalues, vectors = np.linalg.eigh(information)
-    # Where the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
+    # If the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
     factor = np.linalg.cholesky((vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T)
     deviation = np.diagonal(factor)
     axes = factor / deviation
@@ -336,7 +336,7 @@ class _Given:
     ----------
     factor : shape (n, P, P), Cholesky factors of the precision.
     half : shape (n, P), whitened mean less ẑ.
-    at_mode : shape (n,), log p(y, ẑ, h) up to a constant; None where it does not come with them.
+    at_mode : shape (n,), log p(y, ẑ, h) up to a constant; None if it does not come with them.
     """
 
     factor: np.ndarray

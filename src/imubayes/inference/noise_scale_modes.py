@@ -1,11 +1,11 @@
 """The modes of the noise scales, and draws of the posterior from all of them.
 
-Where runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large; and
+If runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large; and
 of two channels that disagree about a common parameter, either may be the one that scatters.  The mode is the
 highest maximum of the marginal density of h in z, where every prior is standard normal: a scatter of zero is at −∞
-there, and one that the data cannot tell from zero at the lower end of its prior.  No single mode sums the posterior up:
-θ is drawn given h, normal in the model that is linear about a mode, and h from its marginal, by importance sampling
-from what is tabulated about every mode that holds mass.
+there, and one that the data cannot distinguish from zero at the lower end of its prior.  No single mode sums the
+posterior up: θ is drawn given h, normal in the model that is linear about a mode, and h from its marginal, by
+importance sampling from what is tabulated about every mode that holds mass.
 """
 
 from collections.abc import Sequence
@@ -99,7 +99,7 @@ def posterior_points(
 ) -> np.ndarray:
     """Return draws (n, P + H) of the posterior of the models that are linear about each mode.
 
-    Points of the proposals about the modes that hold mass, resampled where the weights of their noise scales matter.
+    Points of the proposals about the modes that hold mass, resampled if the weights of their noise scales matter.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def posterior_points(
 
 
 def resampled(points: np.ndarray, log_weight: np.ndarray) -> np.ndarray:
-    """Return draws (n, …) with frequencies by their weights (n,), as they are where these are nearly even."""
+    """Return draws (n, …) with frequencies by their weights (n,), as they are if these are nearly even."""
     weight = np.exp(log_weight - logsumexp(log_weight))
     if len(weight) * np.sum(weight**2) < 1 + _EVEN:
         return points

@@ -5,15 +5,15 @@ Three signs of it are looked for.  An estimate lies outside the domain of its pa
 model leaves outputs unexplained that are no noise and no small error.
 
 Whether prior and data disagree, and which of them decided an estimate, shows in z, where a prior is the standard
-normal.  Where a parameter has the posterior mean m and variance v, all other parameters integrated out, the likelihood
+normal.  If a parameter has the posterior mean m and variance v, all other parameters integrated out, the likelihood
 alone has its maximum at m/(1 − v) with variance v/(1 − v).  The distance of this maximum from the prior mean, over its
 standard deviation under prior and likelihood together, is
 
     |m| / √(1 − v),
 
 the test of prior–data conflict (Evans and Moshonov, Bayesian Analysis 2006), and the normalised residual of a prior
-value in least-squares adjustment.  Where the data decide, v is small and it is the distance of the estimate from the
-prior mean in prior standard deviations; where the prior decides, the estimate itself looks like any other.
+value in least-squares adjustment.  If the data decide, v is small and it is the distance of the estimate from the
+prior mean in prior standard deviations; if the prior decides, the estimate itself looks like any other.
 """
 
 import math
@@ -32,7 +32,7 @@ from imubayes.parameters.priors import HalfNormal, Normal, rounded_width
 
 # Distance from the middle of a prior, in its standard deviations, from which the estimate is of something else.
 # Convention, between what is met: at most 2.6 in the shipped campaigns, hidden effects included, and 30 in a unit
-# fifteen times worse than two standard deviations of its prior; hundreds where a table or a mounting is wrong.  Smaller
+# fifteen times worse than two standard deviations of its prior; hundreds if a table or a mounting is wrong.  Smaller
 # refuses such units, larger lets gross mistakes pass for estimates.
 FAR_SD = 30.0
 # Residual of a channel, in all and about the mean of each run, over its outputs, and over the recorded noise of the

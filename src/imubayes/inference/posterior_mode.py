@@ -57,7 +57,7 @@ class Newton:
     decrement: float
 
 
-# Where a weak direction is curved, Gauss–Newton creeps along it with steps that shrink by a constant factor.
+# If a weak direction is curved, Gauss–Newton creeps along it with steps that shrink by a constant factor.
 _LENGTHS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
@@ -111,14 +111,14 @@ def mode_near(
 ) -> Mode:
     """Return the joint fit from a place close to it: h in the linearised model and Gauss–Newton steps in turns.
 
-    For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, where
+    For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, if
     Levenberg–Marquardt would take several for each of its rounds.
 
     Parameters
     ----------
     problem : to be fitted.
     about, h : where to start: the linearised model, and the noise scales, shape (H,).
-    information : shape (H, H), negative Hessian of the marginal of h at a fit of nearly the same data.  Where it is
+    information : shape (H, H), negative Hessian of the marginal of h at a fit of nearly the same data.  If it is
         given, that of the mode is learnt from the steps alone: the mode is as good, widths of h are not.
     """
     steps, settled, at, decrement, h = 0, False, None, np.inf, np.asarray(h)

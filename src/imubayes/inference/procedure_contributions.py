@@ -40,7 +40,7 @@ def contributions(
 ) -> tuple[Contribution, ...]:
     """Return for each quantity that is linear in the parameters its uncertainty by procedure.
 
-    Quantities are mounting angles, scale factors, and further ones, such as determined combinations.  Empty where the
+    Quantities are mounting angles, scale factors, and further ones, such as determined combinations.  Empty if the
     fit did not converge or there is one procedure alone.  `alone` is the standard deviation from the prior and the runs
     of one procedure, `without` that from all others; both in the unit of the quantity, with the gradient from the
     posterior draws.
@@ -80,7 +80,7 @@ def _contribution(
 ) -> Contribution:
     """Return a quantity with its standard uncertainty by procedure, (L,) each, and from all data."""
     sd = float(np.std(of.posterior)) if stated is None else stated
-    # No part of the data tells more than all of them, and none less than the prior, whose angles may be lengths.
+    # No part of the data determines more than all of them, and none less than the prior, whose angles may be lengths.
     most = max(sd, float(np.std(of.prior)))
     by = zip(procedures, np.clip(alone, sd, most).tolist(), np.clip(without, sd, most).tolist(), strict=True)
     shares = tuple(ProcedureShare(procedure=name, alone=one, without=others) for name, one, others in by)

@@ -71,17 +71,17 @@ def joint_fit(
     ----------
     model : as declared.
     sampling : how to sample; None for the Laplace approximation alone.
-    checkpoint : file that the sampling is kept in; a temporary one where None.
+    checkpoint : file that the sampling is kept in; a temporary one if None.
     resume : continue the checkpoint.
     progress : called with a short text as the work goes on.
-    start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
-        None.  Other starts are tried only where the posterior is to be sampled, or none is known.
+    start : z and h to begin the fit at, if a fit of nearly the same model is known; the middle of the prior if
+        None.  Other starts are tried only if the posterior is to be sampled, or none is known.
     laplace_draws : number of draws of the Laplace approximation, or standard normal vectors (S, P + H) to make them of.
 
     Raises
     ------
     InputError
-        where a checkpoint is to be resumed that belongs to another fit.
+        if a checkpoint is to be resumed that belongs to another fit.
     """
     tell = progress or (lambda text: None)
     _require_double_precision()
@@ -122,7 +122,7 @@ def _at_modes(
 ) -> tuple[Fit, ScaleModes | None, list[np.ndarray]]:
     """Return the fit at the highest mode, the modes of noise scales, and other ends worth a look.
 
-    There are no modes of scales where the first one did not converge.
+    There are no modes of scales if the first one did not converge.
     """
     tell("fitting: mode")
     mode, others = _best_start(model, sampling, start, tell)
@@ -135,7 +135,7 @@ def _at_modes(
 
 
 def judged_fit(model: Model, mode: Mode) -> Fit:
-    """Return the fit at a mode; one without convergence where its estimates cannot be of the unit and the set-up."""
+    """Return the fit at a mode; one without convergence if its estimates cannot be of the unit and the set-up."""
     z, h = np.asarray(mode.z), np.asarray(mode.h)
     if not bool(mode.converged):
         return Fit(model, z, h, False, message(mode), mode)
@@ -198,7 +198,7 @@ def data_hash(model: Model) -> str:
 
 
 def campaign_hash(model: Model) -> str:
-    """Return what identifies the data: the hash of the files, or of the arrays where there are no files.
+    """Return what identifies the data: the hash of the files, or of the arrays if there are no files.
 
     It stands in every file that is made of a fit, so that constants, record and certificate can be held together.
     """
@@ -249,7 +249,7 @@ def _dispersed(first: np.ndarray, sampling: Settings | None) -> list[Float[Array
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
-    """Tell whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence.
+    """Return whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence.
 
     An ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
     """
@@ -267,7 +267,7 @@ def _starts(
 ) -> list[np.ndarray]:
     """Return the first points of each ensemble: of the posterior by importance resampling.
 
-    Where a dispersed fit ended at another place, an ensemble begins about that.
+    If a dispersed fit ended at another place, an ensemble begins about that.
     """
     starts = []
     for ensemble in range(sampling.ensembles):

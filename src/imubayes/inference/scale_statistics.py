@@ -1,4 +1,4 @@
-"""What the data say of θ at any noise scales, from statistics that are taken once about a linearisation.
+"""Information of the data on θ at any noise scales, from statistics that are taken once about a linearisation.
 
 Rows that have the same variance v at every h form a class, and the rows of one class in one run and channel a cell.
 With unit weights a class has the statistics A = JᵀJ, a = Jᵀe, c = eᵀe and n, and a cell the sums m of its rows of J,
@@ -9,7 +9,7 @@ s of e and n.  With Σ(h) = D + Σ_g T_g 1 1ᵀ they give, p = 1/v,
 with m_g, s_g and n_g the sums of p m, p s and p n over the cells of g, and π the precision of the prior.  The Laplace
 marginal −½ q + ½ bᵀΛ⁻¹b − ½ log det Λ − ½ log det Σ then has a gradient in closed form: traces of A with Λ⁻¹.
 
-That holds where noise is normal and rows are independent but for the offset of their run; `scale_statistics` returns
+That holds if noise is normal and rows are independent but for the offset of their run; `scale_statistics` returns
 None elsewhere, and the marginal is differentiated automatically.
 """
 
@@ -37,7 +37,7 @@ from imubayes.model.problem import (
 )
 from imubayes.noise.components import Entry, EntryNoise, SharedNoise
 
-# Rows are of one class where their variances agree to so many digits at the middle of the prior and at a few points
+# Rows are of one class if their variances agree to so many digits at the middle of the prior and at a few points
 # besides.
 _DIGITS, _PROBES = 10, 3
 # Above so many numbers in the statistics of all classes, products of rows are formed anew for each h.
@@ -116,7 +116,7 @@ class RowClasses:
 
 
 def row_classes(problem: Problem) -> RowClasses | None:
-    """Return the classes of rows; None where rows are correlated or have heavy tails."""
+    """Return the classes of rows; None if rows are correlated or have heavy tails."""
     if problem.timeline is not None or rows_correlate(problem) or has_heavy_tails(problem):
         return None
     observations, values = problem.observations, problem.hyper_priors.values
@@ -159,9 +159,9 @@ class ScaleStatistics:
     Attributes
     ----------
     classes : of the rows.
-    z : shape (P,), where the model is linearised.
+    z : shape (P,), if the model is linearised.
     jacobian, ordered : rows of the Jacobian (n, P) by classes, and the class of each.
-    gram : shape (K, P²), sums of products of rows of the Jacobian; None where it is not stored.
+    gram : shape (K, P²), sums of products of rows of the Jacobian; None if it is not stored.
     pulled : shape (K, P), JᵀE of each class; square, rows : shape (K,), sums of squared misfits, and number of rows.
     along, misfit, size : shapes (C, P), (C,), (C,), sums over each cell of the Jacobian, of the misfit, and of rows.
     alike : what the rows of groups share, by kinds of groups; None if it is summed group by group.
@@ -339,7 +339,7 @@ def _blocks(h: np.ndarray) -> list[np.ndarray]:
 def scale_statistics(
     problem: Problem, classes: RowClasses | None, z: np.ndarray, misfit: np.ndarray, jacobian: np.ndarray
 ) -> ScaleStatistics | None:
-    """Return the statistics of a linearisation; None where there are no classes.
+    """Return the statistics of a linearisation; None if there are no classes.
 
     Parameters
     ----------

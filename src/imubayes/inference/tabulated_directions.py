@@ -1,10 +1,10 @@
 """Weak directions of θ whose marginal is not normal, and the tabulated densities that they are drawn from.
 
-A direction that the data tell poorly reaches far: the heading of a tumble whose gyros hardly resolve the Earth rate
-turns by tens of degrees, and its posterior is wider and flatter than the curvature at the mode says.  A normal proposal
-is then too narrow, and walkers stay for a hundred steps in the tails.  The marginal along such a direction is evaluated
-on a grid, each time at the highest point of the posterior across it and with the width there (the Laplace approximation
-of a marginal, Tierney & Kadane 1986), and takes the place of the normal one.
+A direction that the data determine poorly reaches far: the heading of a tumble whose gyros hardly resolve the Earth
+rate turns by tens of degrees, and its posterior is wider and flatter than the curvature at the mode says.  A normal
+proposal is then too narrow, and walkers stay for a hundred steps in the tails.  The marginal along such a direction is
+evaluated on a grid, each time at the highest point of the posterior across it and with the width there (the Laplace
+approximation of a marginal, Tierney & Kadane 1986), and takes the place of the normal one.
 
 A tabulated density is one-dimensional and has a map to the standard normal.  Between knots its logarithm is linear, and
 beyond the last ones it falls linearly: distribution function and quantiles are elementary, several modes are no
@@ -192,7 +192,7 @@ def _mass_below(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Flo
 
 # Where the marginal is evaluated, in standard deviations of the normal approximation, outwards from the mode.
 _OUTWARDS = (0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
-# A direction is normal where the log density at this distance is within the second number of that of a normal
+# A direction is normal if the log density at this distance is within the second number of that of a normal
 # distribution.
 _SCREEN, _ALIKE = 2.5, 0.3
 # Directions that are tabulated at most, the farthest from normal first.
@@ -201,7 +201,7 @@ _MOST = 4
 _STEPS = 2
 # Quantiles by which a width is integrated, tails included.
 _NORMAL_QUANTILES = scipy.special.ndtri((np.arange(4000) + 0.5) / 4000)
-# Log density, relative to the mode, where it is not finite.
+# Log density, relative to the mode, if it is not finite.
 _NOWHERE = -200.0
 
 
@@ -264,7 +264,7 @@ class TabulatedDirections(eqx.Module):
 def tabulated_directions(
     problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: np.ndarray, bend: Float[Array, "K K P"]
 ) -> TabulatedDirections | None:
-    """Return the weak directions whose marginal is not normal; None where all are.
+    """Return the weak directions whose marginal is not normal; None if all are.
 
     Parameters
     ----------

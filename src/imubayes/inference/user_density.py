@@ -1,8 +1,8 @@
 """Sampling of any log density with the sampler of the fit: independent ensembles that run until they agree.
 
 The ensembles have a proposal, if its importance weights show that it holds the posterior and chains from the stated
-starts agree with it (`imubayes.inference.density_proposal`): the normal distribution about the mode where JAX tells it,
-or a mixture fitted to where such chains were, as of two modes or beside a hard edge.  Where neither holds, as of a
+starts agree with it (`imubayes.inference.density_proposal`): the normal distribution about the mode if JAX gives it,
+or a mixture fitted to where such chains were, as of two modes or beside a hard edge.  If neither holds, as of a
 funnel, most steps are Hamiltonian Monte Carlo with a step size that follows the local geometry
 (`imubayes.inference.gradient_moves`), if JAX can differentiate the density and blackjax is installed.
 
@@ -179,7 +179,7 @@ class _Begun:
 def _counted(
     log_density: Callable[[Any], Any], centre: np.ndarray, widths: np.ndarray, most: int, settings: Settings
 ) -> tuple[CountedDensity, Single | None]:
-    """Return the density of many points, counted, and that of one at (x − start)/scale where JAX differentiates it."""
+    """Return the density of many points, counted, and that of one at (x − start)/scale if JAX differentiates it."""
     random = np.random.default_rng([settings.seed, 1])
     tried = centre + _OVERDISPERSION * widths * random.normal(size=(walkers_for(len(centre), settings), len(centre)))
     of_many = of_many_points(log_density, tried, widths)
@@ -247,7 +247,7 @@ def _checkpoint(
 
 
 def _checked_names(names: Sequence[str], parameters: int) -> tuple[str, ...]:
-    """Return the names, made up if there are none; raise InputError where their number is another."""
+    """Return the names, made up if there are none; raise InputError if their number is another."""
     given = tuple(names) or tuple(f"x{place}" for place in range(parameters))
     if len(given) != parameters:
         what = f"{len(given)} names for {parameters} parameters"
@@ -256,7 +256,7 @@ def _checked_names(names: Sequence[str], parameters: int) -> tuple[str, ...]:
 
 
 def _checked_budget(most: int | None, walkers: int) -> int:
-    """Return the budget of evaluations; raise InputError where it does not allow a chain of so many walkers."""
+    """Return the budget of evaluations; raise InputError if it does not allow a chain of so many walkers."""
     given, fewest = MOST_EVALUATIONS if most is None else most, _FEWEST_STEPS * walkers
     if given < fewest:
         what = f"{given} evaluations allow no chain of {walkers} walkers"
@@ -265,7 +265,7 @@ def _checked_budget(most: int | None, walkers: int) -> int:
 
 
 def _checked_starts(starts: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the starts; raise InputError where none was found."""
+    """Return the starts; raise InputError if none was found."""
     if not starts:
         raise input_error(
             "the log density is not finite at any starting point",

@@ -54,12 +54,12 @@ def of_many_points(log_density: Callable[[Any], Any], points: np.ndarray, scale:
     Raises
     ------
     InputError
-        where its values have another shape.  What the function itself raises is handed on.
+        if its values have another shape.  Errors raised by the function itself are handed on.
     """
     try:
         values = log_density(points)
     except Exception:
-        # It may take one point alone; where it takes neither, what it says of many points is said.
+        # It may take one point alone; if it takes neither, what it says of many points is said.
         single = _of_one_point(log_density, points)
         if single is None:
             raise
@@ -80,7 +80,7 @@ def of_many_points(log_density: Callable[[Any], Any], points: np.ndarray, scale:
 
 
 def _of_one_point(log_density: Callable[[Any], Any], points: np.ndarray) -> BatchedDensity | None:
-    """Return a function of one point, vectorised; None where its value is no number."""
+    """Return a function of one point, vectorised; None if its value is no number."""
 
     def looped(at: np.ndarray) -> np.ndarray:
         return np.array([np.asarray(log_density(point)).reshape(()) for point in np.asarray(at)], dtype=float)

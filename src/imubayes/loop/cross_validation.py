@@ -36,7 +36,7 @@ _MAX_BLOCKS, _BLOCK_ROWS = 8, 4
 
 _EXACT_FLIPS, _ROUNDING = 13, 1e-12
 _OF_A_REMOVAL: dict[str, HeldOutVerdict] = {"helps": "costs", "unclear": "unclear", "not": "spares"}
-"""What the effects that were removed did → what their removal does."""
+"""Contribution of the removed effects → consequence of their removal."""
 
 
 def summarise_gains(
@@ -111,7 +111,7 @@ def cross_validate(
     """Return how much better the second of two fits of one campaign predicts what is left out.
 
     Leave-one-run-out; of a campaign of one run leave-one-pose-out, the attitudes known, or leave-one-block-out.  None
-    where no group has a finite density.
+    if no group has a finite density.
     """
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
@@ -145,8 +145,8 @@ def _rate_errors(model: Model, masks: Sequence[np.ndarray], seen: Sequence[Seque
 def groups(model: Model) -> tuple[Literal["run", "pose", "block"], tuple[str, ...], tuple[np.ndarray, ...]]:
     """Return what is left out at a time: run, pose or block, its names, and which entries belong to each, shape (E,).
 
-    A campaign of one run is predicted pose by pose, or where it has none in blocks of neighbouring rows: a row alone
-    would be told by its neighbours.
+    A campaign of one run is predicted pose by pose, or if it has none in blocks of neighbouring rows: a row alone
+    would be determined by its neighbours.
     """
     entries, runs = model.entries, model.campaign.runs
     run = runs[0] if len(runs) == 1 else None
@@ -198,7 +198,7 @@ def _marginal(problem: Problem, about: Linearised, h: np.ndarray) -> float:
 def observed_delta_chi2(before: Fit, after: Fit) -> float:
     """Return the drop of chi² that the refit of a changed model brought.
 
-    At the noise scales of the old fit, and without the priors of what one of the models lacks; where noise scales
+    At the noise scales of the old fit, and without the priors of what one of the models lacks; if noise scales
     differ, twice the rise of the log likelihood with the parameters integrated out.
     """
     if after.model.hyper_layout.names != before.model.hyper_layout.names:
@@ -240,13 +240,13 @@ def _log_likelihood(fitted: Fit) -> float:
 
 
 def objection(after: Fit, delta_chi2: float, may_rise: bool = False) -> str:
-    """Return the sentence that says why a refit is not taken; empty where nothing speaks against it.
+    """Return the sentence that says why a refit is not taken; empty if nothing speaks against it.
 
     Parameters
     ----------
     after : the refit.
     delta_chi2 : drop of χ².
-    may_rise : whether χ² may rise, as where effects are removed.
+    may_rise : whether χ² may rise, as if effects are removed.
     """
     if not after.converged:
         return f"The refit is not taken. {after.message}"

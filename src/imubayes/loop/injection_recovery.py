@@ -157,7 +157,7 @@ def plant_effects(
     Parameters
     ----------
     fitted : the fit to simulate from.
-    effects : names; all that the model lacks and could have where None.
+    effects : names; all that the model lacks and could have if None.
     size : how large.
     draws : simulations without any effect.
     seed : of the simulations.
@@ -261,7 +261,7 @@ def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen:
 
 
 def _scaled(strength: Callable[[float], float], target: float) -> float | None:
-    """Return the scale at which a strength is reached; None where none of any use does."""
+    """Return the scale at which a strength is reached; None if none of any use does."""
     scale = 1e-3
     for _ in range(_SIZING_STEPS):
         there = strength(scale)

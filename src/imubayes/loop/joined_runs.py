@@ -1,6 +1,6 @@
 """Runs that were not fitted, joined to those of a fit, so that its model says what they share with it.
 
-What bears one name belongs to both: channels, tables and mountings.  Equipment of the same name that is stated
+Equipment of one name belongs to both: channels, tables and mountings.  Equipment of the same name that is stated
 otherwise, or that the user says was changed (a unit taken off its seat and put back), is another one, with parameters
 of its own.  A run that was fitted is no prediction, and is left out.
 """
@@ -41,7 +41,7 @@ class JoinedCampaign:
     elsewhere: bool
 
     def of_site(self, model: Model) -> set[str]:
-        """Return the parameters of a model that are errors of the site; none where the sites are one."""
+        """Return the parameters of a model that are errors of the site; none if the sites are one."""
         return {
             parameter.name
             for effect in model.assembly.effects
@@ -77,7 +77,7 @@ class JoinedRuns:
         return np.array(known, dtype=bool)[self.model.entries.run]
 
     def shared_with(self, fit: Fit) -> np.ndarray:
-        """Return which parameters, (P,) bool, the fit tells of: what it has, less the errors of another site."""
+        """Return which parameters, (P,) bool, the fit informs on: what it has, less the errors of another site."""
         own = set(fit.model.layout.names) - self.together.of_site(fit.model)
         return np.array([name in own for name in self.model.layout.names], dtype=bool)
 
@@ -88,7 +88,7 @@ def joined_runs(fit: Fit, campaign: Campaign, changed: Sequence[str] = (), any_u
     Raises
     ------
     InputError
-        as of `joined_campaign`, and where the model does not fit the new runs.
+        as of `joined_campaign`, and if the model does not fit the new runs.
     """
     together = joined_campaign(fit.model.campaign, campaign, changed, any_unit)
     registry = fit.model.registry.without_files()
@@ -186,7 +186,7 @@ def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
 
 
 def _all_channels(known: Campaign, campaign: Campaign) -> tuple[Channel, ...]:
-    """Return the channels of the fit, and the angle of a table where new runs alone have it."""
+    """Return the channels of the fit, and the angle of a table if new runs alone have it."""
     names = {channel.name: channel for channel in known.channels}
     issues, further = [], []
     for channel in campaign.channels:

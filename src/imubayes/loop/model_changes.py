@@ -1,6 +1,6 @@
 """Effects added to the model of a fit or taken out of it: what may go, where the refit starts, what is predicted.
 
-An added effect starts at the one-step estimate, or at the coefficients that a diagnosis estimated where the posterior
+An added effect starts at the one-step estimate, or at the coefficients that a diagnosis estimated if the posterior
 is higher there.  The one-step estimate is linear about the null values.  Of effects with a gradient there it agrees
 with the diagnosis, and takes account of several effects at once.  Of others the diagnosis knows more: it scanned the
 shape and the sign.
@@ -28,7 +28,7 @@ from imubayes.parameters.declarations import prior_values
 
 
 def start_at_estimates(change: ChangedModel, estimates: Mapping[str, float]) -> ChangedModel:
-    """Return a changed model that starts at estimates of its new parameters, where the posterior is higher there.
+    """Return a changed model that starts at estimates of its new parameters, if the posterior is higher there.
 
     Estimates outside the support of their priors are left out.
 
@@ -79,7 +79,7 @@ def refit_with(
     ----------
     before : the fit to start from.
     effects : names of effects or noise members.
-    channels : for the new effects; all that they can act on where None.
+    channels : for the new effects; all that they can act on if None.
     diagnosis : of the fit; its coefficients and scanned shapes are where the refit starts.
     progress : called with a short text as the work goes on.
     files : Python files that define effects, beside those of the model.
@@ -103,7 +103,7 @@ def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[Scree
 
 
 def _one_finding(effects: Sequence[str], diagnosis: Diagnosis | None) -> bool:
-    """Tell whether effects stand for one finding: a single one, or several that the data do not distinguish."""
+    """Return whether effects stand for one finding: a single one, or several that the data do not distinguish."""
     groups = diagnosis.groups if diagnosis is not None else ()
     return len(effects) == 1 or any(set(effects) <= set(group.effects) for group in groups)
 
@@ -128,7 +128,7 @@ def start_of_refit(
 def _predicted_coefficients(
     change: ChangedModel, screened: ScreenedEffect | None, alone: bool
 ) -> tuple[CoefficientEstimate, ...]:
-    """Return those of the diagnosis, where it estimated the same; of the linear model elsewhere."""
+    """Return those of the diagnosis, if it estimated the same; of the linear model elsewhere."""
     of_diagnosis = screened is not None and (alone or change.delta_chi2 is None)
     return tuple(screened.coefficients if screened is not None and of_diagnosis else change.coefficients)
 
@@ -154,7 +154,7 @@ def refit_without(before: Fit, effects: Sequence[str], progress: Callable[[str],
 def refit_edited(before: Fit, model: Model, progress: Callable[[str], None]) -> Refit:
     """Fit an edited model, bound, from where a fit stood: other priors, readings set aside or taken back.
 
-    Parameters keep their values, not their places in the priors.  Where the readings differ there is no Δχ² and no
+    Parameters keep their values, not their places in the priors.  If the readings differ there is no Δχ² and no
     cross-validation.
 
     Raises
@@ -247,7 +247,7 @@ def _covariate_of(name: str, registry: Registry) -> str | None:
 
 
 def _among(block: PriorCorrelation, names: Collection[str]) -> PriorCorrelation | None:
-    """Return a correlation of the parameters of these effects alone; None where it correlates none."""
+    """Return a correlation of the parameters of these effects alone; None if it correlates none."""
     places = [place for place, name in enumerate(block.parameters) if QuantityName.of(name).effect in names]
     if len(places) < 2:
         return None
@@ -256,7 +256,7 @@ def _among(block: PriorCorrelation, names: Collection[str]) -> PriorCorrelation 
 
 
 def _refuse_required(effects: Sequence[str], old: ModelSpec, new: ModelSpec, registry: Registry) -> None:
-    """Raise where an effect is in the model again once it is bound: others, or the campaign itself, require it."""
+    """Raise if an effect is in the model again once it is bound: others, or the campaign itself, require it."""
     back = {each.name for each in new.effects}
     for name in effects:
         if name in back:

@@ -4,8 +4,9 @@ A node is what `history.json` of a result folder says; its parent is named by it
 that results may move together.  It is written with the fit and never again: a model made from it leaves it as it is.
 Of a tree one node is selected: the one that is exported.
 
-What a change of a model brought is told, among other things, by the prediction of rows that were left out.  The odds of
-effects that are removed come from the diagnosis that found them: they are the reverse of the odds of adding them.
+What a change of a model brought is reported, among other things, by the prediction of rows that were left out.  The
+odds of effects that are removed come from the diagnosis that found them: they are the reverse of the odds of adding
+them.
 """
 
 import hashlib
@@ -200,7 +201,7 @@ def rms_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
 def removal_log_odds(found: Evidence, removed: Collection[str], kept: Collection[str]) -> float | None:
     """Return the natural logarithm of the odds of a model with effects against the one without them.
 
-    Where an effect that stays may stand in the place of one that goes, the odds are those between the two.
+    If an effect that stays may stand in the place of one that goes, the odds are those between the two.
 
     Parameters
     ----------

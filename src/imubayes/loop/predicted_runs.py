@@ -29,9 +29,9 @@ from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
 
 _STEPS, _SHORTEST, _SETTLED = 30, 1e-3, 1e-3
-# The new runs test a direction where they know it better than the calibration does.
+# The new runs test a direction if they know it better than the calibration does.
 _TESTED = 0.5
-# Share of its deviation by which an estimate may move at most that new runs tell nothing of.
+# Share of its deviation by which an estimate may move at most that new runs show nothing of.
 _UNMOVED = 1e-6
 # Share of the noise of a combination of readings that must be left beside unknowns without a prior, to be judged.
 _LEFT = 0.05
@@ -44,8 +44,8 @@ class ShiftedEstimate(Record):
     ----------
     before, sd : of the fit.
     shift : of its mean by the new runs.
-    pull : the shift over its standard deviation where the model describes the new runs.
-    p : chance of so large a pull there: normal, or Student's t where the fit learnt from its few runs how they scatter.
+    pull : the shift over its standard deviation if the model describes the new runs.
+    p : chance of so large a pull there: normal, or Student's t if the fit learnt from its few runs how they scatter.
     """
 
     name: str
@@ -70,7 +70,7 @@ class PredictedRuns:
     chi2, n : of all readings together, and its degrees of freedom.
     calibration_chi2, directions : χ² of the combinations of estimates that the new runs know better than the fit, and
         how many there are.
-    shifts : of what the fit estimates and the new runs tell of, largest pull first.
+    shifts : of what the fit estimates and the new runs inform on, largest pull first.
     """
 
     joined: JoinedRuns
@@ -136,7 +136,7 @@ def root_mean_square_scales(fit: Fit, estimates: Mapping[str, tuple[float, float
     """Return the noise scales, (H,) in z, whose squares are the posterior means of their squares.
 
     The variance of a reading of unknown noise scale is the mean of its variances.  The mode of a scatter that few runs
-    tell is far below that.
+    determine is far below that.
 
     Parameters
     ----------

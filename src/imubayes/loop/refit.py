@@ -2,10 +2,10 @@
 
 A changed model is refitted from where the old fit stood.
 
-Which of several effects that were added the data do not distinguish is told by the correlation of their estimates.  Of
-two effects that do the same the estimates are correlated by −1; of five that do the same any two hardly are, but each
-is the opposite of the sum of the others.  So it is the multiple correlation of an estimate with those of the other
-effects that counts; of two it is the size of their correlation.
+Which of several effects that were added the data do not distinguish is determined by the correlation of their
+estimates.  Of two effects that do the same the estimates are correlated by −1; of five that do the same any two hardly
+are, but each is the opposite of the sum of the others.  So it is the multiple correlation of an estimate with those of
+the other effects that counts; of two it is the size of their correlation.
 """
 
 from collections.abc import Callable, Sequence
@@ -94,7 +94,7 @@ def refit_changed(
     change : the changed model with its start.
     progress : called with a short text as the work goes on.
     coefficients : predicted, of effects added.
-    same_readings : whether both are fits of the same readings; χ² and predictions are not compared where not.
+    same_readings : whether both are fits of the same readings; χ² and predictions are not compared if not.
     """
     progress("fitting")
     fit = joint_fit(change.model, None, start=(change.z, change.h), progress=progress)
@@ -124,7 +124,7 @@ def _predicted_drop(before: Fit, change: ChangedModel) -> float | None:
 
 
 LEAST_CORRELATION = 0.95
-# Two effects belong together where they are correlated so much with the others held.
+# Two effects belong together if they are correlated so much with the others held.
 _LINKED = 0.3
 
 

@@ -42,14 +42,14 @@ class ChangedModel:
     null : shape (P,), the mode before, with the new parameters at their null values.
     new : shape (P,), True for the parameters that the model before did not have.
     added, removed : what it has more and less than the model before.
-    delta_chi2 : of effects added: predicted drop of χ² at the noise scales before; None where the gradient at the null
-        values vanishes, and where the linear prediction is a rise.
-    coefficients : of effects added: predicted, with uncertainty; empty where the gradient vanishes.
-    asked : shape (K,), estimates of the new parameters from the data alone, SI, where they contradict the prior; 0
+    delta_chi2 : of effects added: predicted drop of χ² at the noise scales before; None if the gradient at the null
+        values vanishes, and if the linear prediction is a rise.
+    coefficients : of effects added: predicted, with uncertainty; empty if the gradient vanishes.
+    asked : shape (K,), estimates of the new parameters from the data alone, SI, if they contradict the prior; 0
         elsewhere.
     widened : priors that were widened for these estimates, by ``effect.parameter``, as written in a model file.
     residual, explained : shape (E,), whitened residual and the part explained by the effects added, both projected off
-        the model before: the added-variable plot, of slope 1 where the prediction is right.  Empty of a removal.
+        the model before: the added-variable plot, of slope 1 if the prediction is right.  Empty of a removal.
     """
 
     model: Model
@@ -87,7 +87,7 @@ _NO_GRADIENT, _SINGULAR = 1e-14, 1e-9
 """A new coefficient whose squared whitened column is below this in prior units has no gradient at its null (it enters
 as β² or |β|), and combinations this much weaker than the strongest are not determined.  Numerical."""
 _PRIOR_CONFLICT_SD = 3.0
-"""A prior contradicts the data where the estimate lies so many standard deviations of its prior predictive distribution
+"""A prior contradicts the data if the estimate lies so many standard deviations of its prior predictive distribution
 from the prior mean.  Convention (0.3 %): it is widened in an addition.  Larger lets a prior decide against the data."""
 REFIT_LOSS = -0.5
 """A refit that loses more χ² than this is refused: a larger model cannot fit worse but for its new priors.  Derived."""
@@ -107,7 +107,7 @@ def extended(
     ----------
     spec : the model before.
     effects : names of effects or noise members.
-    channels : for effects that act on channels; where None, all that the effect can act on and does not act on yet.
+    channels : for effects that act on channels; if None, all that the effect can act on and does not act on yet.
     campaign, registry : determine which channels these are.
     files : Python files that define effects, beside those of the model.
 
@@ -133,7 +133,7 @@ def _channels(
         return None
     fitting = fitting_channels(member, campaign)
     if channels is not None:
-        # Each of several effects takes the channels of its kind; where none fits, binding the model raises.
+        # Each of several effects takes the channels of its kind; if none fits, binding the model raises.
         return tuple(name for name in channels if name in fitting) or tuple(channels)
     taken = {
         name
@@ -219,7 +219,7 @@ def _stated_as_exact(model: Model, known: int) -> Iterator[Issue]:
 
 
 def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
-    """Return χ² of the fit before where the new effect is not null at the point of linearisation, else None.
+    """Return χ² of the fit before if the new effect is not null at the point of linearisation, else None.
 
     The width of a dead zone cannot be zero: its prior excludes that, and the model is linearised at the prior median.
     """
@@ -231,7 +231,7 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
 
 
 def _wider(extension: ChangedModel, estimates: Mapping[str, CoefficientEstimate]) -> dict[str, dict[str, str]]:
-    """Return wider priors, by effect and parameter, where the estimate from the data alone contradicts the prior.
+    """Return wider priors, by effect and parameter, if the estimate from the data alone contradicts the prior.
 
     The default prior covers typical sizes.  A refit held back by it would understate an effect that the data determine.
     Priors from a certificate of the equipment are not widened.
@@ -254,7 +254,7 @@ def _wider(extension: ChangedModel, estimates: Mapping[str, CoefficientEstimate]
 
 
 def _diagnosed(parameter: Parameter, estimate: CoefficientEstimate | None) -> float:
-    """Return the size of a diagnosed estimate, SI, where the prior contradicts it; 0 elsewhere."""
+    """Return the size of a diagnosed estimate, SI, if the prior contradicts it; 0 elsewhere."""
     if estimate is None or estimate.value is None or not _about_zero(parameter.prior):
         return 0.0
     spread = np.hypot(_about(parameter.prior, 0.0)[2], (estimate.sd or 0.0) * parameter.factor)
@@ -274,19 +274,19 @@ def _declared(model: Model, parameter: Parameter) -> Declared:
 
 
 def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
-    """Return z of the value given for a parameter, by its full name or without label; None where there is none."""
+    """Return z of the value given for a parameter, by its full name or without label; None if there is none."""
     value = values.get(parameter.name, values.get(f"{parameter.effect}.{parameter.field}"))
     return None if value is None else parameter.z_at(value)
 
 
 def null_point(model: Model) -> np.ndarray:
-    """Return z of the null value of each parameter; 0 where its prior excludes that."""
+    """Return z of the null value of each parameter; 0 if its prior excludes that."""
     found = [_null(model, parameter) for parameter in model.layout.parameters]
     return np.array([0.0 if z is None else z for z in found])
 
 
 def _null(model: Model, parameter: Parameter) -> float | None:
-    """Return z of the null value of a parameter; None where its prior excludes that."""
+    """Return z of the null value of a parameter; None if its prior excludes that."""
     return parameter.z_at(_declared(model, parameter).null / parameter.factor)
 
 
@@ -323,7 +323,7 @@ def _first_step(
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
     tells = bool(count) and not flat.all()
-    # Δχ² refers to the model before; its χ² is that at the point of linearisation where the new effect is null there.
+    # Δχ² refers to the model before; its χ² is that at the point of linearisation if the new effect is null there.
     without = float(right @ right) if without is None else without
     drop = float(2 * drive @ step - step @ squares @ step) + without - float(left @ left)
     sd = np.sqrt(np.diag(covariance))
@@ -372,7 +372,7 @@ def _contradicting(
 
 
 def _about(prior: Prior, z: float) -> tuple[float, float, float]:
-    """Return value, slope by z and width of a prior at z, in SI; a width without end where it is not about zero."""
+    """Return value, slope by z and width of a prior at z, in SI; a width without end if it is not about zero."""
     value, slope = prior.value(np.asarray(float(z))), prior.slope(np.asarray(float(z)))
     family = _about_zero(prior)
     scale = prior.scale if isinstance(prior, HalfNormal) else prior.sd()
@@ -389,7 +389,7 @@ def _second_step(
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
     """Return z, standard deviations, drop of χ² and which new parameters have no gradient, after a second step.
 
-    All parameters are moved; where that does not reduce χ², the first step is returned.
+    All parameters are moved; if that does not reduce χ², the first step is returned.
 
     Parameters
     ----------

@@ -466,5 +466,5 @@ def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:
 
 
 def _is_independent_noise(effect_class: EffectClass, campaign: Campaign) -> bool:
-    """Tell whether a member gives every reading a variance of its own."""
+    """Return whether a member gives every reading a variance of its own."""
     return issubclass(effect_class, EntryNoise) and is_independent(effect_class, campaign)

@@ -1,6 +1,6 @@
 """Effects of a model bound to a campaign: channels, runs, labels and priors; and which effects it could show.
 
-What is wrong with an effect that cannot be bound is reported.  For an effect that the campaign cannot show, what is
+The fault of an effect that cannot be bound is reported.  For an effect that the campaign cannot show, what is
 missing for it is named.
 """
 
@@ -148,7 +148,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, sin
     Raises
     ------
     InputError
-        with everything that does not fit; `NotObservableError` where no run can show the effect.
+        with everything that does not fit; `NotObservableError` if no run can show the effect.
     """
     effect_class = registry.find(spec.name, spec.where)
     settings = _Settings(spec, effect_class, grouping.campaign)
@@ -202,7 +202,7 @@ def _without_single_runs(
     Raises
     ------
     SingleRunError
-        where no other channel is left.
+        if no other channel is left.
     """
     learnt = "run" in sharing and hyper_fields(effect_class)
     if single_runs or spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
@@ -250,7 +250,7 @@ def _recorded_runs(
 
 
 def _refuse_unknown(spec: EffectSpec, effect_class: EffectClass, channels: tuple[str, ...], grouping: Grouping) -> None:
-    """Raise an error where the effect changes what was measured in runs that lack a covariate it needs."""
+    """Raise an error if the effect changes what was measured in runs that lack a covariate it needs."""
     runs, supplies = grouping.campaign.runs, grouping.nodes.supplies
     unknown = [unknown_covariates(run, effect_class.needs, each) for run, each in zip(runs, supplies, strict=True)]
     if issubclass(effect_class, Noise) or not any(unknown):
@@ -266,7 +266,7 @@ def _refuse_unknown(spec: EffectSpec, effect_class: EffectClass, channels: tuple
 
 
 def _measures(run: Run, places: list[int]) -> bool:
-    """Whether a run has outputs of some channels; of any where none are named."""
+    """Whether a run has outputs of some channels; of any if none are named."""
     return not places or bool(np.isfinite(run.observed[:, places]).any())
 
 
@@ -278,7 +278,7 @@ def _showing_runs(
     Raises
     ------
     NotObservableError
-        where there is none.
+        if there is none.
     """
     if effect_class.nuisance:
         return runs  # unknowns of the procedures themselves
@@ -418,7 +418,7 @@ class Observability:
     runs : names of the runs that respond to it.
     channels : names of the channels it can act on; none for effects on the motion.
     missing : covariates that no run recorded, or that a run which it changes lacks, or the stimulus that no run has;
-        empty where the campaign could show it.
+        empty if the campaign could show it.
 
     Examples
     --------

@@ -6,7 +6,7 @@ attitude of the nearer one, turned by the product P of the rotations since it:
 
     C_nb(t) = exp(−ω_E τ) · C_nb(pose) · P.
 
-P depends on every coefficient of the gyros.  What gravity says of the attitude at many instants is so told of the
+P depends on every coefficient of the gyros.  What gravity says of the attitude at many instants so informs on the
 gyros: their scale factor is absolute, by turns that gravity counts.
 """
 
@@ -46,7 +46,7 @@ class CarriedInstants(eqx.Module):
 
 
 def bind_carried(assembly: Assembly, transitions: Transitions | None) -> CarriedInstants | None:
-    """Return the nodes of a campaign that are carried; None where there are none."""
+    """Return the nodes of a campaign that are carried; None if there are none."""
     nodes, campaign = assembly.grouping.nodes, assembly.grouping.campaign
     hand = nodes.stimulus.hand
     if hand is None or transitions is None:
@@ -109,9 +109,9 @@ def carried_motion(
 def first_point(assembly: Assembly) -> np.ndarray:
     """Return z, (P,), from which a fit begins: the middle of the prior, but for the gyros of a unit in motion.
 
-    Where the unit turns many times between its poses, nominal scale factors would be off by more than a turn.  The
+    If the unit turns many times between its poses, nominal scale factors would be off by more than a turn.  The
     first estimates that the poses of the runs stand on are taken, each by its information: about one axis, at one rate,
-    a run tells one combination of bias and scale factor.
+    a run determines one combination of bias and scale factor.
     """
     z = np.zeros(len(assembly.layout))
     tumbles = [run.tumble for run in assembly.grouping.campaign.runs if run.tumble is not None]

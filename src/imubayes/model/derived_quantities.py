@@ -245,7 +245,7 @@ def _thermal_comparisons(
 
 
 def _nearest_1_g(inputs: np.ndarray, among: np.ndarray) -> int | None:
-    """Return the place of the input nearest 1 g among some; None where there is none."""
+    """Return the place of the input nearest 1 g among some; None if there is none."""
     return int(np.argmin(np.where(among, np.abs(inputs - 1), np.inf))) if among.any() else None
 
 
@@ -279,7 +279,7 @@ def _whole_path(assembly: Assembly, nodes: np.ndarray) -> tuple[Layer, ...]:
 
 
 def is_lasting(effect: BoundEffect, effect_class: type[Effect]) -> bool:
-    """Tell whether an effect belongs to the scale factor: the small-signal response common to all runs.
+    """Return whether an effect belongs to the scale factor: the small-signal response common to all runs.
 
     Effects of single runs and of injected currents do not, nor do dead zones and limits: a scale factor is the slope
     between them.

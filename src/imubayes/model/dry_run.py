@@ -26,7 +26,7 @@ def dry_run(problem: Problem, effects: Sequence[BoundEffect], spec: ModelSpec) -
     Raises
     ------
     InputError
-        where a user-defined class raises, or does not return one real number; names file, line and cause.
+        if a user-defined class raises, or does not return one real number; names file, line and cause.
     """
     files = spec.files
     own = [effect.effect_class for effect in effects if effect.effect_class in spec.classes or _is_own(effect, files)]
@@ -62,7 +62,7 @@ def _is_own(effect: BoundEffect, files: Sequence[str]) -> bool:
 
 
 def _line(error: BaseException, files: Sequence[str]) -> str:
-    """Return file, line and method of the last step in a file of the user; empty where there is none."""
+    """Return file, line and method of the last step in a file of the user; empty if there is none."""
     own = {str(Path(file).resolve()) for file in files}
     steps = [frame for frame in traceback.extract_tb(error.__traceback__) if str(Path(frame.filename).resolve()) in own]
     return f"{steps[-1].filename}:{steps[-1].lineno}, in {steps[-1].name}" if steps else ""

@@ -28,7 +28,7 @@ _USER = "imubayes_user_"
 
 
 def acts_on_channels(effect_class: EffectClass) -> bool:
-    """Tell whether a class acts on single channels; effects on the motion and closure noise act on the whole unit."""
+    """Return whether a class acts on single channels; effects on the motion and closure noise act on the whole unit."""
     return not issubclass(effect_class, MotionEffect) and "closure" not in effect_class.kinds
 
 
@@ -131,7 +131,7 @@ def _is_effect(member: type) -> TypeGuard[EffectClass]:
 
 
 def names_in(file: str | Path) -> tuple[str, ...]:
-    """Return the names of the effects that a Python file defines; raises InputError where it defines none."""
+    """Return the names of the effects that a Python file defines; raises InputError if it defines none."""
     return tuple(member.name for member in _members_of(Path(file)))
 
 
@@ -172,7 +172,7 @@ def _members_of(file: Path) -> list[EffectClass]:
 
 
 def with_noise_priors(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
-    """Return the model with the noise from static records in it; the model itself where it names none."""
+    """Return the model with the noise from static records in it; the model itself if it names none."""
     if spec.noise_priors is None:
         return spec
     names = tuple(channel.name for channel in campaign.channels)
@@ -193,7 +193,7 @@ def with_noise_priors(spec: ModelSpec, campaign: Campaign, registry: Registry) -
 
 
 def _among(entry: EffectSpec, names: Sequence[str]) -> EffectSpec | None:
-    """Return an entry for the channels that the campaign has; None where it has none of them."""
+    """Return an entry for the channels that the campaign has; None if it has none of them."""
     if entry.channels is None:
         return entry
     shared = tuple(name for name in entry.channels if name in names)
@@ -201,7 +201,7 @@ def _among(entry: EffectSpec, names: Sequence[str]) -> EffectSpec | None:
 
 
 def _beside(entry: EffectSpec, given: Sequence[EffectSpec], suitable: Sequence[str]) -> EffectSpec | None:
-    """Return an entry of the model for the channels that no given entry of its name has; None where none is left."""
+    """Return an entry of the model for the channels that no given entry of its name has; None if none is left."""
     same = [each for each in given if each.name == entry.name]
     if not same:
         return entry

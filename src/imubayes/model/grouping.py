@@ -55,7 +55,7 @@ class Grouping:
         return len(set(self.entries.run[(self.entries.channel == place) & ~self.entries.closing].tolist()))
 
     def label_of_run(self, axis: str, run: int) -> str | None:
-        """Return the run's own name, or its mounting, table or thermometer; None where it has none.
+        """Return the run's own name, or its mounting, table or thermometer; None if it has none.
 
         It stands on its table in its mounting, which turns it about the vertical as well; without them, where it was
         put for itself.
@@ -99,7 +99,7 @@ class Grouping:
         ----------
         per : axes by which a value is labelled.
         places : label → index in the vector.
-        null : index of the null value, used where the effect does not act.
+        null : index of the null value, used if the effect does not act.
         channels : names of all channels of the kind; empty for effects on the motion.
         gated : runs in which the effect is switched off; None for none.
         """

@@ -79,7 +79,7 @@ def nominal_inverse(axes: Array) -> np.ndarray:
 
 
 def bind_transitions(assembly: Assembly) -> Transitions | None:
-    """Return the transitions of all free tumbles, padded to the longest; None where there are none."""
+    """Return the transitions of all free tumbles, padded to the longest; None if there are none."""
     campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
     tumbles = _with_turns(campaign)
     if not tumbles:
@@ -319,7 +319,7 @@ class Servos(eqx.Module):
 
 
 def bind_servos(assembly: Assembly) -> Servos | None:
-    """Return the runs in which a gyro drives the table; None where there are none."""
+    """Return the runs in which a gyro drives the table; None if there are none."""
     campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
     indices = servo_runs(campaign)
     if not indices:

@@ -39,12 +39,12 @@ from imubayes.noise.components import TailNoise
 
 # Iterative reweighting gains a digit in two steps; the final Newton steps carry the derivatives.
 _REWEIGHTED, _NEWTON = 60, 2
-# Where the observations of a run are multimodal the curvature may vanish; the reweighting step replaces Newton's.
+# If the observations of a run are multimodal the curvature may vanish; the reweighting step replaces Newton's.
 _LEAST_CURVATURE = 0.1
 
 
 def has_heavy_tails(problem: Problem) -> bool:
-    """Tell whether the noise model of the problem has heavy tails."""
+    """Return whether the noise model of the problem has heavy tails."""
     return any(issubclass(layer.noise, TailNoise) for layer in problem.noise)
 
 

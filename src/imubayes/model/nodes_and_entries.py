@@ -4,7 +4,7 @@ NumPy only.  The nodes of all runs are concatenated.  An entry has the time that
 order in which slow noise passes through the entries.
 
 A run records the middle times of its rows and the numbers of their samples, not the length of a sample.  That is the
-smallest distance of neighbouring rows per sample between their middles: exact where rows follow without a gap.  Rows of
+smallest distance of neighbouring rows per sample between their middles: exact if rows follow without a gap.  Rows of
 a run without times follow each other without a gap.
 """
 
@@ -31,9 +31,9 @@ class NodeTable:
 
     Attributes
     ----------
-    stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 where a run lacks it.
+    stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 if a run lacks it.
     run, pose : shape (N,), index of the run and pose, −1 where there is no pose.
-    stand : shape (N,), the stand of each node: its run, or its pose or position where the run has those.
+    stand : shape (N,), the stand of each node: its run, or its pose or position if the run has those.
     stand_node : shape (S,), the first node of each stand.
     turns : rows as (number of rows, nodes per row), in order.
     row_of : shape (R,), global row (run after run) at each place of the sorted rows.
@@ -203,7 +203,7 @@ def motion_at(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motio
 
 
 def records_of(nodes: NodeTable) -> Records:
-    """Return the nodes in the order of time, run after run; where a run has no time, in the order of its rows."""
+    """Return the nodes in the order of time, run after run; if a run has no time, in the order of its rows."""
     stimulus = nodes.stimulus
     time = stimulus.ambient["time"]
     order = np.lexsort((stimulus.row, time, nodes.run))
@@ -301,7 +301,7 @@ def reference_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> 
 
 
 def encoder_slopes(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
-    """Return for each entry of a gyro its output per angle of the table, output units per rad; 0 where none is used.
+    """Return for each entry of a gyro its output per angle of the table, output units per rad; 0 if none is used.
 
     The mean rate of a row in which the table accelerates, or turns from rest to rest, is the difference of two angles
     over its length.
@@ -351,7 +351,7 @@ class Timeline(eqx.Module):
 
 
 def has_row_times(campaign: Campaign) -> bool:
-    """Tell whether any run shows how long a sample lasts."""
+    """Return whether any run shows how long a sample lasts."""
     return any(np.isfinite(_sample_length(run)) for run in campaign.runs)
 
 
@@ -380,7 +380,7 @@ def timeline(campaign: Campaign, entries: Entries, group: np.ndarray) -> Timelin
 
 
 def _sample_length(run: Run) -> float:
-    """Return the length of a sample in s, ∞ where the run does not show it."""
+    """Return the length of a sample in s, ∞ if the run does not show it."""
     if run.tumble is not None and run.tumble.carried:
         return float(np.median(run.tumble.row_seconds / run.samples))
     time = run.covariates.get("time")

@@ -14,7 +14,7 @@ Student's t is that of one observation: x is the residual over the scale of the 
 freedom ν, so that κ = 0 is the normal distribution.  Formulas: Lange, Little and Taylor, Robust statistical modeling
 using the t distribution (J. Am. Stat. Assoc. 84, 1989).
 
-All of it is algebra of arrays: NumPy computes it where the arguments are NumPy's, and JAX where they are its own.
+All of it is algebra of arrays: NumPy computes it if the arguments are NumPy's, and JAX if they are its own.
 """
 
 from dataclasses import replace
@@ -397,7 +397,7 @@ def row_correlations(problem: Problem, values: Float[Array, "*batch H"]) -> Floa
 
 
 def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
-    """Return each entry's correlation with the one before it that is not masked; None where nothing correlates."""
+    """Return each entry's correlation with the one before it that is not masked; None if nothing correlates."""
     if not rows_correlate(problem):
         return None
     observations, one_row = problem.observations, row_correlations(problem, values)

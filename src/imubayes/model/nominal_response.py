@@ -3,10 +3,10 @@
 An effect acts on the nominal samples of a run with one coefficient at the largest size met in practice, all else at its
 null.  A few instants of each run are enough: those where a stimulus is extreme, and some in between.  They come in
 blocks of one shape, so that formulas are traced once for all campaigns; NumPy evaluates them, and nothing is compiled.
-An effect on the motion responds where it changes what acts on the body.
+An effect on the motion responds if it changes what acts on the body.
 
 Three kinds are taken to respond wherever the covariates they need are recorded: effects with memory, and effects on the
-gyros of free tumbles and of driven tables, where the record is not the signal itself.  For those the linearised model
+gyros of free tumbles and of driven tables, if the record is not the signal itself.  For those the linearised model
 decides (`imubayes.responses.candidate_effects`).
 """
 
@@ -77,7 +77,7 @@ class Felt(eqx.Module):
 
 @dataclass(frozen=True)
 class NominalSamples:
-    """What the channels experience nominally at one block of instants; worked out where it is asked for.
+    """What the channels experience nominally at one block of instants; worked out if it is asked for.
 
     Attributes
     ----------
@@ -317,7 +317,7 @@ def _signal(place: Place, sample: Sample) -> Array:
 
 
 def missing_stimulus(probe: Probe, blocks: Sequence[NominalSamples]) -> tuple[str, ...]:
-    """Return what the runs would need to show an effect that no run shows; empty where nothing tried brings it out."""
+    """Return what the runs would need to show an effect that no run shows; empty if nothing tried brings it out."""
     first = blocks[0]
     stimuli: dict[str, Callable[[], NominalSamples]] = {
         "turning": lambda: first.turning(1.0),
@@ -353,7 +353,7 @@ def _variance(noise: EntryNoise, facts: Entry) -> Array:
 
 
 def is_independent(noise: type[EntryNoise], campaign: Campaign) -> bool:
-    """Tell whether a noise component gives every reading a variance of its own, at rest too."""
+    """Return whether a noise component gives every reading a variance of its own, at rest too."""
     still = Entry(*map(np.asarray, (1.0, 0.0, 0.0, 0.0)))
     return "closure" not in noise.kinds and float(_variance(noise(**_largest(noise, campaign)), still)) > 0
 

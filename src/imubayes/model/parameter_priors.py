@@ -48,7 +48,7 @@ class HyperCorrelation(eqx.Module):
 
 
 def hyper_correlation(listed: Sequence[PriorCorrelation], layout: Layout) -> HyperCorrelation | None:
-    """Return the correlation of the priors of noise parameters in the order of a layout; None where there is none.
+    """Return the correlation of the priors of noise parameters in the order of a layout; None if there is none.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _faults(block: PriorCorrelation, layout: Layout, taken: set[str]) -> list[Is
     return faults
 
 
-# Where neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was
+# If neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was
 # recorded, known to a factor of e³ = 20 either way.
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
 
@@ -113,7 +113,7 @@ _OF_RUNS: dict[str, Callable[[Run], float | None]] = {
     "temperature": lambda run: run.temperature_uncertainty,
     "converter_temperature": lambda run: run.converter_temperature_uncertainty,
 }
-"""Equipment fact of a run → the uncertainty that the campaign states of it; exact where it states none."""
+"""Equipment fact of a run → the uncertainty that the campaign states of it; exact if it states none."""
 _OF_THERMOMETERS: dict[str, tuple[str, Callable[[Thermometer], float | None]]] = {
     f"{key} {error}": (key, uncertainty)
     for key in THERMOMETERS
@@ -123,7 +123,7 @@ _OF_THERMOMETERS: dict[str, tuple[str, Callable[[Thermometer], float | None]]] =
     )
 }
 """Equipment fact of a thermometer → the key by which runs name it, and the uncertainty that the campaign states of it;
-exact where it states none.
+exact if it states none.
 """
 
 
@@ -153,7 +153,7 @@ def parameter_of(
     Raises
     ------
     InputError
-        where the prior of the model file does not parse or does not suit the parameter.
+        if the prior of the model file does not parse or does not suit the parameter.
     """
     declared = declared_parameters(effect_class)[field]
     gravity, where = campaign.site.gravity, f"{spec.where}, prior of {field}"
@@ -200,7 +200,7 @@ def largest_typical(effect_class: EffectClass, campaign: Campaign, channel: str 
 
 
 def _output_as_scale(scale: float) -> dict[str, float]:
-    """Return the values of the units of typical sizes, which are in the nominal scale where they are of the output."""
+    """Return the values of the units of typical sizes, which are in the nominal scale if they are of the output."""
     return {"output": scale, "scale": scale}
 
 
@@ -229,7 +229,7 @@ def _representative_channel(effect_class: EffectClass, label: dict[str, str], ca
 
 
 def _output_unit(effect_class: EffectClass, label: dict[str, str], campaign: Campaign) -> str:
-    """Return the output unit of the labelled channel, or of all of the right kind; empty where they have several."""
+    """Return the output unit of the labelled channel, or of all of the right kind; empty if they have several."""
     own = {channel.output_unit for channel in campaign.channels if channel.name == label.get("channel")}
     units = own or {channel.output_unit for channel in campaign.channels if channel.kind in effect_class.kinds}
     return units.pop() if len(units) == 1 else ""
@@ -276,7 +276,7 @@ def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, defaul
 
 
 def stated_uncertainty(fact: str, label: dict[str, str], campaign: Campaign) -> float | None:
-    """Return the uncertainty that the campaign states of its equipment, SI; None where it states none."""
+    """Return the uncertainty that the campaign states of its equipment, SI; None if it states none."""
     stated = None
     if fact == "gravity":
         stated = campaign.site.gravity_uncertainty

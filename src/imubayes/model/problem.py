@@ -3,7 +3,7 @@
 A `Problem` is one pytree: the nominal motion, the layers of the signal path, the measured entries, the noise, the
 priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
 
-The forward model lies on the device and is compiled.  What was measured, its noise and the priors are arrays of NumPy:
+The forward model lies on the device and is compiled.  Measurements, their noise and the priors are arrays of NumPy:
 the algebra that follows a linearisation contains no forward model and compiles nothing (`placed`).
 """
 
@@ -94,7 +94,7 @@ class NoiseLayer(eqx.Module):
         return self._evaluate(h, _tail)
 
     def states(self, h: Float[Array, " H"], row: RowSpan) -> StateCovariance:
-        """Return the covariance of every entry with those of its run and channel; zero where the member is not."""
+        """Return the covariance of every entry with those of its run and channel; zero if the member is not."""
         member = self.noise
         assert issubclass(member, SlowNoise)
         chosen = _chosen(self, h)
@@ -242,7 +242,7 @@ class Problem(eqx.Module):
     timeline : times of the entries; None in a model without slow noise.
     nulls : shape (V − P,), null values of effects, appended to the parameters.
     priors, hyper_priors : from z to SI values, θ and h.
-    hyper_correlation : of the prior of h; None where its components are independent.
+    hyper_correlation : of the prior of h; None if its components are independent.
     spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
     spread_unit : shape (P,), width of the parameter's own prior, SI.
     """

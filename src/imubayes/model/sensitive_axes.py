@@ -31,7 +31,7 @@ class SensitivityInputs(eqx.Module):
     sensor_layers : from the projection on, at one node without run.
     mountings : one node per mounting (M of them).
     mounting_layers : effects on the motion at these nodes.
-    thermal : one node per run with a converter temperature (T of them), None where there is none.
+    thermal : one node per run with a converter temperature (T of them), None if there is none.
     thermal_layers : the whole path at these nodes.
     thermal_input : kind → shape (T, C), nominal input in SI.
     """
@@ -108,7 +108,7 @@ def outputs_at(
     ----------
     values : all values the layers refer to, SI.
     experience : kind → what acts on each channel, leaves (C, 3).
-    ambient : covariates that are known; power-on was long ago where nothing else is said, all others are 0.
+    ambient : covariates that are known; power-on was long ago if nothing else is said, all others are 0.
     """
     known = {"power_on": jnp.asarray(WARMED_UP)} | dict(ambient)
     at_node = Ambient(**{name: known.get(name, jnp.zeros(()))[None] for name in ambient_names()})

@@ -14,7 +14,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, refuse
 
 
 def without(campaign: Campaign, wanted: Sequence[SetAside], where: str) -> Campaign:
-    """Return a campaign without some readings; the same where they have been taken out of it.
+    """Return a campaign without some readings; the same if they have been taken out of it.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def without(campaign: Campaign, wanted: Sequence[SetAside], where: str) -> Campa
     Raises
     ------
     InputError
-        for runs, channels and rows that are not there, rows of a free tumble, and where nothing is left.
+        for runs, channels and rows that are not there, rows of a free tumble, and if nothing is left.
     """
     if campaign.set_aside == tuple(wanted):
         return campaign
@@ -58,7 +58,7 @@ def _issues(campaign: Campaign, wanted: SetAside, where: str) -> list[Issue]:
 
 
 def _rest(campaign: Campaign, run: Run, wanted: Sequence[SetAside]) -> Run | None:
-    """Return what is left of a run; None where nothing is."""
+    """Return what is left of a run; None if nothing is."""
     own = [each for each in wanted if each.run == run.name]
     if not own:
         return run

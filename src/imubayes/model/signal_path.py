@@ -74,7 +74,7 @@ class Channels(eqx.Module):
     axes : shape (C, 3, 3), rows I, O, S in body axes.
     scale : shape (C,), nominal output units per rad/s or m/s².
     offset : shape (C,), output units.
-    current_per_acceleration : shape (C,), A per m/s²; infinite where the channel has no current output.
+    current_per_acceleration : shape (C,), A per m/s²; infinite if the channel has no current output.
     """
 
     axes: Float[Array, "C 3 3"]
@@ -195,7 +195,7 @@ class Project(Layer):
 
 
 class Convert(Layer):
-    """From SI to output units; where a current is injected it stands for the sensor's own."""
+    """From SI to output units; if a current is injected it stands for the sensor's own."""
 
     channels: dict[str, Channels]
     injected: Float[Array, " N"]
@@ -246,7 +246,7 @@ def on_body(motion: Motion) -> Experience:
 def _carried_on(motion: Motion, hand: HandMotion, frame: "Carried", turning: Vector3, faster: Vector3) -> Experience:
     """Return what acts on a body that may be carried on from its pose: C_nb = exp(−ω_E τ) · C_nb,pose · turn.
 
-    What is fixed to the local level is turned by exp(ω_E τ) first, then into the body of the pose, then into that of
+    A vector fixed to the local level is turned by exp(ω_E τ) first, then into the body of the pose, then into that of
     the instant.  The gyros see the Earth's rotation along; what moves a point of the body against the Earth is the
     rest.
     """

@@ -10,7 +10,7 @@ posterior, not the predicted output.
 Slow noise is that of IEEE Std 952 in continuous time: flicker, random walk, Gauss–Markov and quantisation noise.  Its
 parameters are those of `imubayes noise`, shared by all runs of a channel, so that a static record determines them for
 short runs too.  Rows are means over time: covariances are integrals of the autocovariance over the rows.  What is
-slower than the longest run is part of the bias: no run tells them apart.
+slower than the longest run is part of the bias: no run distinguishes them.
 """
 
 import math
@@ -69,7 +69,7 @@ class Noise(eqx.Module):
     confused_with: ClassVar[str] = ""
     reference: ClassVar[str] = ""
     nuisance: ClassVar[bool] = False
-    of_motion: ClassVar[bool] = False  # who moves the unit makes it: nothing tells its size before the fit
+    of_motion: ClassVar[bool] = False  # who moves the unit makes it: nothing determines its size before the fit
 
 
 class EntryNoise(Noise):
@@ -296,7 +296,7 @@ class Quantisation(EntryNoise):
     """Variance q²/12 of a row, whatever the number of its samples: rounding is uniform over a step q.
 
     q is the step of the row's value: a pulse count over a row errs by less than one pulse, and its mean rate by less
-    than one pulse over the row's length.  Averaged rounding of single samples, where noise exceeds the step, is white
+    than one pulse over the row's length.  Averaged rounding of single samples, if noise exceeds the step, is white
     noise.
     """
 
@@ -371,14 +371,14 @@ class RunScatter(SharedNoise):
 _HOUR = 3600.0
 # Below this x a series replaces (x − 1 + exp(−x))/x², which cancels there; the first neglected term is x³/120.
 _SMALL = 1e-3
-# Rows are without a gap where the time between them is below this share of a row: rounding of recorded times.
+# Rows are without a gap if the time between them is below this share of a row: rounding of recorded times.
 _TOUCHING = 1e-6
 
 
 class FlickerNoise(SlowNoise):
     """Spectrum B²/(2πf): a sum of Gauss–Markov processes of variance B² ln(r)/π, correlation times r apart.
 
-    Their times reach from half the shortest row to the longest run, with r of at most 5, where the spectrum deviates
+    Their times reach from half the shortest row to the longest run, with r of at most 5, if the spectrum deviates
     from 1/f by less than 1 %.  Faster processes are white noise of the row.
     """
 

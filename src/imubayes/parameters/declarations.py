@@ -43,7 +43,7 @@ _POSITION = Domain(-5, 5, "m")
 DOMAINS: dict[str, Domain] = {
     "ppm": Domain(-100, 100, "%"), "arcsec": Domain(-45, 45, "deg"), "mm": _POSITION, "um": _POSITION,
 }  # fmt: skip
-"""Domain of a parameter by its unit, where it declares none.  An error in ppm is that of a factor: at −100 % the output
+"""Domain of a parameter by its unit, if it declares none.  An error in ppm is that of a factor: at −100 % the output
 no longer follows the input, and above 100 % the nominal factor is that of another unit.  An error in arcsec is that of
 a direction: beyond 45° another axis is nearer.  One in mm or µm is that of a place on a table."""
 GRAVITY_ERROR = Domain(-6, 6, "mg")
@@ -98,7 +98,7 @@ def parameter(
     ----------
     unit : datasheet unit used in files, tables and reports.
     prior : default prior, as written in a model file.
-    typical : smallest and largest magnitude met in practice, in `unit`; where that is of the output, in `scale`
+    typical : smallest and largest magnitude met in practice, in `unit`; if that is of the output, in `scale`
         instead of `output`, since channels differ in their output units.
     meaning : a phrase that completes "this is …".
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's

@@ -42,7 +42,7 @@ class Prior(eqx.Module):
 
     @abstractmethod
     def sd(self) -> float:
-        """Return the prior's standard deviation; infinite where it has none."""
+        """Return the prior's standard deviation; infinite if it has none."""
 
     @abstractmethod
     def support(self) -> tuple[float, float]:
@@ -298,7 +298,7 @@ def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[s
     Parameters
     ----------
     text : the prior as written.
-    unit : the parameter's own unit, used where the text gives none.
+    unit : the parameter's own unit, used if the text gives none.
     gravity : gravity of the site in m/s², the value of the unit g.
     where : file and key, for the error.
     own : values of the units `noise` and `scale` for the channel at hand, output units.

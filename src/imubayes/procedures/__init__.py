@@ -65,7 +65,7 @@ PROCEDURES = _Procedures(_MODULES)
 
 
 def procedure_named(name: str) -> Procedure:
-    """Return a procedure by its name; one without any requirement where the name is unknown."""
+    """Return a procedure by its name; one without any requirement if the name is unknown."""
     return PROCEDURES.get(name) or Procedure(name)
 
 
@@ -81,7 +81,7 @@ def classical(campaign: Campaign, delta_k_threshold: float | None = None) -> tup
     Parameters
     ----------
     delta_k_threshold : largest Δk at which the 1 g line of a converter applies to another input, as a ratio; that of
-        the campaign where None.
+        the campaign if None.
     """
     if delta_k_threshold is not None:
         campaign = replace(campaign, delta_k_threshold=delta_k_threshold)

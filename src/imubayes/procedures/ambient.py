@@ -11,7 +11,7 @@ from imubayes.foundations.covariates import COVARIATES, ambient_names
 # A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
 # rate; windows widen until the noise of the slopes is a tenth of their size.
 _LEAST_CHANGE, _LEAST_ROWS, _SLOPE_NOISE = 0.5, 4, 0.1
-# The line through rows on one side is taken where the standard deviation of its slope is below this share of that of
+# The line through rows on one side is taken if the standard deviation of its slope is below this share of that of
 # the line through both: by chance in 1 % of the rows with two rows on either side.
 _CORNER = 0.2
 # So many changes between repeated values are steps of the resolution.
@@ -21,7 +21,7 @@ _LEAST_STEPS = 3
 def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> dict[str, np.ndarray]:
     """Return the recorded covariates of a run at the given rows, and those derived from them.
 
-    Temperature rates are derived where temperature varies with recorded time.  `campaign_time` counts from the first
+    Temperature rates are derived if temperature varies with recorded time.  `campaign_time` counts from the first
     dated run of the campaign, or from the start of the run itself if no run is dated; an undated run among dated ones
     has none.
     """
@@ -52,7 +52,7 @@ def unknown_covariates(run: Run, needs: Sequence[str], supplied: Collection[str]
 
 
 def _of_rate(name: str) -> str:
-    """Return the covariate whose rate of change this one is; empty where it is none."""
+    """Return the covariate whose rate of change this one is; empty if it is none."""
     return name.removesuffix("_rate") if name.endswith("_rate") else ""
 
 
@@ -78,7 +78,7 @@ def instant(start: str) -> datetime:
 
 
 def starts_of(runs: Iterable[Run]) -> list[str]:
-    """Return date and time at which runs began, where that is stated, the first first whatever their time zones."""
+    """Return date and time at which runs began, if that is stated, the first first whatever their time zones."""
     return sorted((run.start for run in runs if run.start), key=instant)
 
 
@@ -86,7 +86,7 @@ def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     """Return the rate of a recorded temperature at every row, °C/s, shape (R,); None if it is constant.
 
     A straight line is fitted to the neighbours of each row: two on either side, or more (4, 8, … up to an eighth of
-    the run) until the slopes are significant against their standard deviations.  Where a ramp begins or ends, the line
+    the run) until the slopes are significant against their standard deviations.  If a ramp begins or ends, the line
     through as many rows on one side is taken that fits far better: a slope across the corner belongs to neither ramp
     (the edge-preserving choice of window of Kuwahara et al. 1976).
 
@@ -109,7 +109,7 @@ def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
             break
         reach *= 2
     found = np.empty(rows)
-    # Of a slope that noise or resolution conceals a corner tells nothing.
+    # Of a slope that noise or resolution conceals a corner shows nothing.
     found[order] = chosen if significant else slope
     return found
 
@@ -119,7 +119,7 @@ def _local_slopes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return slopes from `reach` rows on either side, their standard deviations, those from one side, and the corners.
 
-    All of shape (R,); `corner` tells where the line through twice as many rows on one side fits far better.
+    All of shape (R,); `corner` states where the line through twice as many rows on one side fits far better.
     """
     row, last = np.arange(len(time)), len(time) - 1
     slope, deviation = _slopes_between(time, values, np.maximum(row - reach, 0), np.minimum(row + reach, last))
@@ -134,7 +134,7 @@ def _slopes_between(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the slope of the rows `first` to `last` (inclusive) and its standard deviation, from running sums.
 
-    The standard deviation is infinite where there are fewer than three rows, or no time passes.
+    The standard deviation is infinite if there are fewer than three rows, or no time passes.
     """
     t, v = time - time.mean(), values - values.mean()
 
@@ -148,7 +148,7 @@ def _slopes_between(
     common = window(t * v) - count * mean_t * mean_v
     timed = spread > 1e-12 * np.ptp(time) ** 2
     slope = np.where(timed, common / np.where(timed, spread, 1.0), 0.0)
-    # What is left where a line fits exactly is rounding.
+    # What is left if a line fits exactly is rounding.
     least = np.maximum(1e-12 * np.ptp(values) ** 2, (count - 2) * resolution(values) ** 2 / 12)
     scatter = np.maximum(window(v * v) - count * mean_v**2 - slope * common, least)
     known = timed & (count > 2)
@@ -156,7 +156,7 @@ def _slopes_between(
 
 
 def resolution(values: np.ndarray) -> float:
-    """Return the resolution of a record that repeats values and then changes by one step, 0 where it does not.
+    """Return the resolution of a record that repeats values and then changes by one step, 0 if it does not.
 
     Parameters
     ----------

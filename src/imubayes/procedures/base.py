@@ -86,7 +86,7 @@ class PlannedSteps(BaseModel):
 
 RAMP_KEYS = ("converter_temperature_degC", "rows", "rate_degC_per_h")
 OF_ANY_RUN = ("converter_temperature_degC",)
-"""What every run has, whatever its procedure."""
+"""Covariates of every run, whatever its procedure."""
 STEP_KEYS = tuple(key for key in PlannedSteps.model_fields if key not in ("samples", "seconds_per_row"))
 
 
@@ -97,7 +97,7 @@ class PlannedRows:
     Attributes
     ----------
     duration : shape (R,), s.
-    columns : shape (R,) each, in the units of the file; letters where a column is a direction.
+    columns : shape (R,) each, in the units of the file; letters if a column is a direction.
     attitude : shape (R, 3, 3), body → local level, of a unit turned by hand; None on a table.
     motion : columns that the simulation needs and no instrument records.
     sampled : whether rows are raw samples, without `samples`.

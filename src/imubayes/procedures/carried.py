@@ -1,6 +1,6 @@
 """Stimulus of a unit in motion that its own gyros follow: windows between poses, common to all such procedures.
 
-The nominal motion is that of the nominal gyros: it shows which effects a run can tell of.  The model replaces it by the
+The nominal motion is that of the nominal gyros: it shows which effects a run can show.  The model replaces it by the
 motion that its own coefficients of the gyros give (`imubayes.model.carried_motion`).
 """
 
@@ -19,7 +19,7 @@ def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     Raises
     ------
     InputError
-        where the run is no reduced log.
+        if the run is no reduced log.
     """
     tumble = run.tumble
     if tumble is None or not tumble.carried:

@@ -75,7 +75,7 @@ def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float | N
 
     Parameters
     ----------
-    threshold : of Δk; that of the campaign where None.
+    threshold : of Δk; that of the campaign if None.
     """
     if threshold is None:
         threshold = THRESHOLD if campaign.delta_k_threshold is None else campaign.delta_k_threshold

@@ -2,16 +2,16 @@
 
 The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer a_i + K0 + δ_o a_p − δ_p a_o +
 K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std 517).  It is fitted by least
-squares.  Terms enter in the order of their list as long as the rows tell them from those before.  Of those left out the
-higher orders of an accelerometer are assumed zero and named; those of a gyro stay in sums with what they are not
-separable from, such as D_F + D_II.
+squares.  Terms enter in the order of their list as long as the rows distinguish them from those before.  Of those left
+out the higher orders of an accelerometer are assumed zero and named; those of a gyro stay in sums with what they are
+not separable from, such as D_F + D_II.
 
 Estimable functions are the combinations of coefficients that a design determines.  With y = X β + ν a combination wᵀβ
-has an unbiased linear estimate exactly where w lies in the row space of X.  Single coefficients come first, then the
+has an unbiased linear estimate exactly if w lies in the row space of X.  Single coefficients come first, then the
 combinations that textbooks quote, and last the rows of the reduced row echelon form of X, which complete a basis of the
 row space.  Source: Searle, Linear Models (1971), § 5.4.
 
-Standard combinations are what a test determines where it does not separate the parameters themselves.  Every procedure
+Standard combinations are what a test determines if it does not separate the parameters themselves.  Every procedure
 declares its own, with the symbols of its standard; the textbook evaluation and the joint fit report them under the same
 names.  A combination is declared for what the test determines at best: whether it was determined is found from the
 information in the data, never from this declaration.
@@ -147,11 +147,11 @@ class FittedTerm:
 
     Attributes
     ----------
-    symbol : of the coefficient, as in the standard; with a minus sign where that has one, −δ_p a_o.
+    symbol : of the coefficient, as in the standard; with a minus sign if that has one, −δ_p a_o.
     name : of the parameter in the joint fit.
     unit : of the coefficient.
     column : the known input → its values at the nodes, (n,), in the unit of the input: rad/s or g.
-    assumed_zero : whether the standard neglects the term where it is not separable; if not, it is named together with
+    assumed_zero : whether the standard neglects the term if it is not separable; if not, it is named together with
         those that it is not separable from.
     least : size of the column, rms, below which it is not seen at all.
     """
@@ -353,7 +353,7 @@ class LinearCombination:
     weights : name of the parameter → its weight.
     constant : added to the sum, in `unit`.
     total : whether the sum stands for everything that acts together, so that a model may lack some of its members.
-    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
+    middle_of : run in the middle of whose record it holds, if it changes with time; else empty.
     """
 
     name: str

@@ -68,7 +68,9 @@ def followed_nodes(run: Run) -> FollowedNodes:
     return FollowedNodes(
         np.repeat(rows, NODES),
         weight.reshape(-1),
-        *(derivative[order].reshape(-1) for order in range(3)),
+        derivative[0].reshape(-1),
+        derivative[1].reshape(-1),
+        derivative[2].reshape(-1),
         {name: values.reshape(-1) for name, values in ambient.items()},
     )
 

@@ -65,7 +65,7 @@ def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]
     """Return scale factors and biases of the accelerometers by |f| = g in each pose, and the gyros' mean at rest.
 
     Least squares of |u| − g over the poses, u = L⁻¹((r − K0)/(1 + ε)) the force along the nominal input axes, which are
-    taken as orthogonal.  L is lower triangular with rows of length 1; the identity where the poses do not tell it, as
+    taken as orthogonal.  L is lower triangular with rows of length 1; the identity if the poses do not determine it, as
     faces do not.
     Source: Skog and Händel, "Calibration of a MEMS inertial measurement unit", IMEKO 2006; of six faces that is
     K0 = (r₊ + r₋)/2 and 1 + ε = (r₊ − r₋)/2g.

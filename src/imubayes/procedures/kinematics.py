@@ -101,9 +101,9 @@ class Stimulus:
     driven : whether a gyro drives the table.
     directed : whether the attitude is set by directions of the site, north and the vertical.
     unstated : what nobody stated of where the unit was put (`Campaign.unstated`).
-    outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
+    outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None if
         there are none.
-    hand : motion since its pose of a unit that is carried; None where it is not.
+    hand : motion since its pose of a unit that is carried; None if it is not.
     """
 
     row: np.ndarray
@@ -318,7 +318,7 @@ def serial_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     Raises
     ------
     InputError
-        where the table states no inner axis, or two axes turn at unknown angles.
+        if the table states no inner axis, or two axes turn at unknown angles.
     """
     assert run.table is not None
     assert run.mounting is not None
@@ -396,7 +396,7 @@ def axis_angles(run: Run) -> np.ndarray:
 def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return angles (k, 3) and weights (k,) of the nodes of one row; all arguments have shape (3,).
 
-    An axis of unknown angle makes a whole turn from 0; where it has angle 0, axes that turn along have their own.
+    An axis of unknown angle makes a whole turn from 0; if it has angle 0, axes that turn along have their own.
     """
     unknown = np.isnan(angle)
     span = np.where(np.isnan(span), 0.0, np.abs(span))

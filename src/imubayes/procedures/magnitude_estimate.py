@@ -1,7 +1,7 @@
 """The textbook estimate of accelerometers by |f| = g, of poses and of windows in motion.
 
 Least squares of |u| − g, u = L⁻¹((r − K0)/(1 + ε)) the force along the nominal input axes, which are taken as
-orthogonal.  L is lower triangular with rows of length 1; the identity where the poses do not tell it.
+orthogonal.  L is lower triangular with rows of length 1; the identity if the poses do not determine it.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from imubayes.procedures.textbook import Evaluation, TextbookResult, Undetermine
 
 METHOD = "multi-position test, |f| = g"
 _DIAGONAL, _ALL = 6, 9  # parameters without and with misalignments
-_LEAST_TOLD = 1e-3  # of the best told combination
+_LEAST_TOLD = 1e-3  # of the best determined combination
 
 
 def of_accelerometers(run: Run, campaign: Campaign) -> list[TextbookResult]:

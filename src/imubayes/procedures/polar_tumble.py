@@ -16,7 +16,7 @@ So the five Fourier coefficients of the two sweeps are, + for N and − for S,
     C2 = ½(D_SS − D_II) cos² L             S2 = ∓½ D_SI cos² L
 
 (IEEE Std 517).  Sweeps with the spin axis (S→Np, S→Sp) or the input axis (I→Np, I→Sp) along the pole have the same form
-with the axes exchanged; where the input axis sees a component of the Earth rate, that is subtracted.
+with the axes exchanged; if the input axis sees a component of the Earth rate, that is subtracted.
 
 Every sweep gives its coefficients by least squares, and all sweeps of a gyro together determine what is estimable of
 the ten drift coefficients: each Fourier coefficient is a linear function of them.  For one sweep O→Np and one O→Sp this
@@ -26,7 +26,7 @@ D_II + D_OO + D_SS, since f_I² + f_O² + f_S² = 1 g² in every static position
 
 Sweeps in the same mounting at the same temperature are repetitions.  The scatter of their Fourier coefficients gives
 the repeatability of a drift coefficient, that of one determination by one sweep in each mounting, and replaces the
-scatter within the sweeps where it is larger (Birge).
+scatter within the sweeps if it is larger (Birge).
 """
 
 from collections.abc import Iterable, Sequence
@@ -134,7 +134,7 @@ _TOO_FEW = "its positions do not determine the first two harmonics; 4 or more ev
 
 
 def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -> Sweep | None:
-    """Return the Fourier coefficients of a sweep; None where its positions do not determine them."""
+    """Return the Fourier coefficients of a sweep; None if its positions do not determine them."""
     there = np.isfinite(output)
     angle = run.covariates["table_angle"][there]
     waves = _waves(angle)

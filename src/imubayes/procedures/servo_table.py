@@ -80,7 +80,7 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float, total
 
 
 def _total_drift(runs: Sequence[Run], run: Run, channel: Channel) -> str:
-    """Return of what the total drift is: also of its run where several records cover a turn, as it drifts with time."""
+    """Return of what the total drift is: also of its run if several records cover a turn, as it drifts with time."""
     whole = [other for other in runs if turns_of(other) >= 1.0]
     return channel.name if len(whole) < 2 else f"{channel.name},{run.name}"
 

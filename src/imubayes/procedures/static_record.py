@@ -33,7 +33,7 @@ _RANK = 0.1  # least singular value of directions that span space
 
 
 def static_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return biases where the attitude is known, and the gyrocompass check of every run with enough gyros."""
+    """Return biases if the attitude is known, and the gyrocompass check of every run with enough gyros."""
     found: list[TextbookResult] = []
     for run in runs:
         nominal = _nominal_attitude(run, campaign)
@@ -44,7 +44,7 @@ def static_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]
 
 
 def _nominal_attitude(run: Run, campaign: Campaign) -> np.ndarray | None:
-    """Return body → local level of a run on a table, shape (3, 3); None without a table or where its angle varies."""
+    """Return body → local level of a run on a table, shape (3, 3); None without a table or if its angle varies."""
     angle = run.covariates["table_angle"]
     if run.table is None or run.mounting is None or not run.rows or np.ptp(angle) > 0 or np.isnan(angle).any():
         return None
@@ -84,7 +84,7 @@ def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> Iterator[Text
 
 
 def _vector(run: Run, found: list[tuple[Channel, np.ndarray]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the mean vector that channels measure and its covariance, (3,) and (3, 3); None where they span a plane.
+    """Return the mean vector that channels measure and its covariance, (3,) and (3, 3); None if they span a plane.
 
     Channels are independent of each other.
     """

@@ -21,7 +21,7 @@ DEGREE_PER_HOUR, ARCSEC = to_si("deg/h"), to_si("arcsec")
 _SAME_TEMPERATURE = 5.0
 
 
-# A probability from draws is not told from 0 or 1 below this: some thousand draws have none beyond.
+# A probability from draws is not distinguished from 0 or 1 below this: some thousand draws have none beyond.
 _LEAST_PROBABILITY = 1e-3
 
 
@@ -77,7 +77,7 @@ class Evaluation:
 
     Attributes
     ----------
-    of : in the brackets of names: the channel, with mounting or run where it has a value for each.
+    of : in the brackets of names: the channel, with mounting or run if it has a value for each.
     run, method, uncertainty : as in `Estimate`.
     """
 

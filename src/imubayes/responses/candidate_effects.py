@@ -27,7 +27,7 @@ from imubayes.model.model_file import EffectSpec
 from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.declarations import Parameter, Priors, declared_parameters, prior_slopes, prior_values
 
-# Columns of the Jacobian at once, where it is compiled: most places of a scan need a few shapes' coefficients alone.
+# Columns of the Jacobian at once, if it is compiled: most places of a scan need a few shapes' coefficients alone.
 _SEEDS_AT_ONCE = 16
 
 
@@ -52,14 +52,14 @@ class Coefficient:
 
     @property
     def sign(self) -> int:
-        """The only sign that its prior allows, as of a width or a spread; 0 where it may have either."""
+        """The only sign that its prior allows, as of a width or a spread; 0 if it may have either."""
         low, high = self.parameter.prior.support()
         return 1 if self.even else int(low >= self.null) - int(high <= self.null)
 
 
 @dataclass(frozen=True)
 class ShapeScan:
-    """Values of a candidate's shape parameters: field → value in its unit; empty where it has none."""
+    """Values of a candidate's shape parameters: field → value in its unit; empty if it has none."""
 
     effect: str
     shape: dict[str, float]
@@ -74,7 +74,7 @@ class Response:
     scan : effect and shape.
     coefficients : C of them.
     columns : shape (E, C), change of the predicted entries per unit of each coefficient: the derivative at the null, or
-        where that is zero the secant to the largest typical size.
+        if that is zero the secant to the largest typical size.
     """
 
     scan: ShapeScan
@@ -91,7 +91,7 @@ class Responses:
     misfit : shape (E,), observed less predicted, output units.
     jacobian : shape (E, P), of the model's own parameters in z.
     candidates : one response per candidate and shape.
-    unobservable : effects that no run can show → covariates or stimulus that no run has; empty where unknown.
+    unobservable : effects that no run can show → covariates or stimulus that no run has; empty if unknown.
     """
 
     misfit: np.ndarray
@@ -235,7 +235,7 @@ class CatalogueModel:
         self._extended = _extend(fitted, lacking_effects(fitted)[0], _AT_NULLS)
 
     def parameters_of(self, changed: Model) -> dict[int, Parameter] | None:
-        """Return the parameters of a changed model by their places; None where this model cannot predict it.
+        """Return the parameters of a changed model by their places; None if this model cannot predict it.
 
         It cannot of an effect outside the catalogue or on fewer channels than share its parameters.
         """
@@ -272,7 +272,7 @@ class CatalogueModel:
         return self._extended.own
 
     def start(self, place: int, parameter: Parameter, value: float | None = None) -> float:
-        """Return z of a value, or else of the null, of a parameter at a place; 0 where its prior excludes it."""
+        """Return z of a value, or else of the null, of a parameter at a place; 0 if its prior excludes it."""
         null = float(self._nulls[place]) / parameter.factor
         found = parameter.z_at(value) if value is not None else None
         return (parameter.z_at(null) or 0.0) if found is None else found
@@ -332,7 +332,7 @@ def lacking_effects(
 
     Parameters
     ----------
-    only : names of the effects to look at; all where empty.
+    only : names of the effects to look at; all if empty.
     """
     model = fitted.model
     acting: list[bound.BoundEffect] = []
@@ -351,7 +351,7 @@ def lacking_effects(
 
 
 def _spec(member: type[Effect], fitted: Fit) -> EffectSpec | None:
-    """Return the candidate on the channels that lack it; None where none does."""
+    """Return the candidate on the channels that lack it; None if none does."""
     rivals = [effect for effect in fitted.model.assembly.effects if _rival(effect.effect_class, member)]
     spec = EffectSpec(member.name, where=f"candidate {member.name}")
     if not rivals:

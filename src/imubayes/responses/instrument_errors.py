@@ -1,6 +1,6 @@
 """Errors of the instruments beside the unit: thermometers, clock, vibration sensor, counters and meters of outputs.
 
-A model reads temperature, time and vibration as the campaign records them, and outputs as they were counted.  Where the
+A model reads temperature, time and vibration as the campaign records them, and outputs as they were counted.  If the
 campaign states no uncertainty of a thermometer, the model takes its reading as exact; of the other instruments it never
 knows an error.  Such an error is no parameter of any effect.  The response to it is the change of the predicted outputs
 with the record: true = recorded + δ for a thermometer, true = recorded · (1 + δ) for clock and vibration, and for
@@ -42,7 +42,7 @@ INSTRUMENTS = (
 )  # fmt: skip
 """Causes that instruments have, as effects are named; of the thermometers they are effects."""
 _PPM, _PERCENT = 1e-6, 1e-2
-# Relative sizes where the campaign states none.
+# Relative sizes if the campaign states none.
 _SIZES = {CLOCK: 10 * _PPM, VIBRATION_SENSOR: 5 * _PERCENT, TIME_BASE: 10 * _PPM, METER: 50 * _PPM}
 # Steps of the central differences: predictions are quadratic in a temperature at most, and nearly linear in the others.
 _KELVIN, _SHARE = 0.1, 1e-3
@@ -217,7 +217,7 @@ class _Response:
         return scaled - COVARIATES[covariate].centre * self.offset(covariate)
 
     def scaled(self, covariates: Mapping[str, float], seconds: float) -> np.ndarray:
-        """Return the derivative by δ where covariates are multiplied by (1 + δ) to a power (E,).
+        """Return the derivative by δ if covariates are multiplied by (1 + δ) to a power (E,).
 
         Parameters
         ----------

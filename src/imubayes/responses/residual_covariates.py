@@ -1,9 +1,9 @@
 """Covariates of every entry, against which residuals are tested, and those that an effect's coefficients go with.
 
 Which covariates a coefficient goes with is found from the formula of the effect and not from the data.  On the data of
-a campaign many functions coincide: where the force along an axis is the same in all runs in which the temperature
-changes, a scale factor over temperature is a bias over temperature.  What the effect itself says is told by its formula
-at generic values: the coefficient goes with every input that changes its first-order response.
+a campaign many functions coincide: if the force along an axis is the same in all runs in which the temperature
+changes, a scale factor over temperature is a bias over temperature.  What the effect itself says is given by its
+formula at generic values: the coefficient goes with every input that changes its first-order response.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -146,7 +146,7 @@ def _node_rows(fitted: Fit) -> np.ndarray:
 MEMORY = "memory"
 _GENERIC = np.random.default_rng(952).uniform(0.5, 2.0, 64)
 _CHANGED = 1e-9
-"""Relative change by which rounding is told from a dependence."""
+"""Relative change by which rounding is distinguished from a dependence."""
 
 
 def covariates_of(member: type, kind: str) -> tuple[frozenset[str], ...]:

@@ -47,7 +47,7 @@ class WrongInput:
     A size is what has to be added to the record: to the column; to a factor on it, 1; to the attitude of the seat, a
     rotation vector in body axes, rad; to the outputs of each channel, output units; to a factor on all of them; or, of
     columns that two runs exchanged, 1.  A run of another unit has parameters of its own: sizes are their z less those
-    of the other runs, and the record stays as it is; so it does where the stated prior of parameters is too narrow, by
+    of the other runs, and the record stays as it is; so it does if the stated prior of parameters is too narrow, by
     which sizes are what their z is beyond it.  Of a count of samples the size is a ratio, true over stated.
 
     Attributes
@@ -169,7 +169,7 @@ def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
 
 
 def acts_through_the_model(wrong: WrongInput) -> bool:
-    """Tell whether a wrong input changes the prediction: outputs, and parameters beyond their prior, are linear."""
+    """Return whether a wrong input changes the prediction: outputs, and parameters beyond their prior, are linear."""
     return wrong.form not in ("unit", "prior", "samples") and not wrong.form.startswith("output")
 
 
@@ -194,7 +194,7 @@ _NOT_SUSPECTED = {"time", "power_on", *(name for name in COVARIATES if name.ends
 
 
 def problem_of(model: Model, campaign: Campaign) -> Problem | None:
-    """Return the problem of a model for a changed record of its campaign; None where the nodes are no longer the same.
+    """Return the problem of a model for a changed record of its campaign; None if the nodes are no longer the same.
 
     Arrays have the shapes that they had, so that nothing is traced.
     """
@@ -232,7 +232,7 @@ class Predictions:
         return np.asarray(problem.observations.value) - np.asarray(_misfit(problem, self.z))
 
     def misfit(self, campaign: Campaign) -> np.ndarray | None:
-        """Return observed less predicted of every entry, (E,); None where the prediction is not defined."""
+        """Return observed less predicted of every entry, (E,); None if the prediction is not defined."""
         problem = problem_of(self.model, campaign)
         return None if problem is None else np.asarray(_misfit(problem, self.z))
 

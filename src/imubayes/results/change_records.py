@@ -1,4 +1,4 @@
-"""What a change of a model brought, and the files that keep it: `history.json`, `diagnosis.json`, `change.json`.
+"""The outcome of a change of a model, and its files: `history.json`, `diagnosis.json`, `change.json`.
 
 The record of a change holds prediction and observation, cross-validation, residual rms, and the estimates that moved.
 `history.json` of a result says the model and what it was made from, the others document the steps between models.
@@ -246,7 +246,7 @@ def _left_out(one: ModelSpec, other: ModelSpec) -> tuple[SetAside, ...]:
 
 
 def _new_priors(was: ModelSpec, now: ModelSpec) -> dict[str, str]:
-    """Return the priors of effects that both models have, where they are written differently."""
+    """Return the priors of effects that both models have, if they are written differently."""
     known = {(each.name, each.channels): dict(each.prior) for each in was.effects}
     return {
         f"{each.name}.{field}": each.prior.get(field, "")
@@ -297,7 +297,7 @@ def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:
 
 
 def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
-    """Return the residual rms of each channel at the noise known beforehand, where both are known."""
+    """Return the residual rms of each channel at the noise known beforehand, if both are known."""
     return tuple(
         RmsChange(channel=now.channel, before=was.rms, after=now.rms, unit=now.unit)
         for was, now in _both(before, after)

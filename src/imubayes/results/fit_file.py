@@ -73,7 +73,7 @@ def read_fit(folder: str | Path) -> Fit:
     Raises
     ------
     InputError
-        where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fit.
+        if the folder holds no fit, the campaign is gone, or campaign or model are not those that were fit.
     """
     folder = Path(folder)
     record, spec = read_fit_record(folder), read_carried_model(folder / MODEL)
@@ -155,7 +155,7 @@ def node_of(model: Model, summary: Summary, seed: int, above: str = "", **more: 
     Parameters
     ----------
     above : id of the node that it was made from; empty for a fit that was made from no other.
-    more : what else is known of it; whether it is taken, and why not, follow from the fit where they do not stand here.
+    more : what else is known of it; whether it is taken, and why not, follow from the fit if they do not stand here.
     """
     data, made = campaign_hash(model), model_hash(model)
     said = {"taken": summary.converged, "message": summary.message} | more

@@ -1,6 +1,6 @@
 """Files of a result folder: names, typed records, effect files that come along, and the manifest.
 
-What is missing in a folder, or wrong with a file that cannot be read, is reported as such.
+A file that is missing from a folder or cannot be read is reported as such.
 
 The manifest says which files belong together, with size and SHA-256 of each, and is the one check that they still do.
 Files are written beside their places, committed together with their manifest by one renaming, and then put in place; a
@@ -46,7 +46,7 @@ def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | No
     Raises
     ------
     InputError
-        with its first faults where it cannot be read; `absent` where there is no such file.
+        with its first faults if it cannot be read; `absent` if there is no such file.
     """
     if absent is not None and not file.is_file():
         raise InputError(absent)
@@ -106,7 +106,7 @@ def missing(folder: Path) -> list[Issue]:
 
 
 def way_back(folder: Path) -> str:
-    """Return what to do where a folder holds no result."""
+    """Return what to do if a folder holds no result."""
     if _only_begun(folder):
         return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
     return "correct the path, or run the fit again"
@@ -175,7 +175,7 @@ class Manifest(Record):
         return hashlib.sha256("\0".join(f"{file.name} {file.sha256}" for file in self.fit).encode()).hexdigest()
 
     def holds(self, name: str) -> bool:
-        """Tell whether a file was written with the fit."""
+        """Return whether a file was written with the fit."""
         return any(file.name == name for file in self.fit)
 
 
@@ -218,7 +218,7 @@ def added(folder: Path, name: str) -> Path | None:
     Raises
     ------
     InputError
-        as for `checked`, and where such a file is there that is altered or of another fit.
+        as for `checked`, and if such a file is there that is altered or of another fit.
     """
     file = folder / name
     remedy = f"run `imubayes {BY_OTHER_COMMANDS.get(name, 'fit')}` again, or remove the file"
@@ -249,7 +249,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
 
     Parameters
     ----------
-    identity : of the fit it was made of; that in the folder where empty.
+    identity : of the fit it was made of; that in the folder if empty.
 
     Raises
     ------
@@ -366,7 +366,7 @@ def pictures_compared(folder: Path) -> tuple[str, ...]:
 
 
 def _names(folder: Path) -> Iterable[str]:
-    """Return the names of all files that tell of an earlier result, whole or not."""
+    """Return the names of all files that belong to an earlier result, whole or not."""
     pictures = (CAPTIONS, DIAGNOSIS_PICTURE, NOISE_PICTURE, *pictures_compared(folder))
     drawn = (f"{FIGURES}/{name}" for name in pictures)
     known = (SUMMARY, RESIDUALS, POSTERIOR, PAGE, *BY_OTHER_COMMANDS, *drawn)

@@ -1,4 +1,4 @@
-"""What a result folder holds: names of its files, whether it can take a result, and what is wrong with one."""
+"""Contents of a result folder: names of its files, whether it can take a result, and the faults of one."""
 
 import json
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ def claimed(folder: Path | None, resume: bool = False, replace: bool = False) ->
     Raises
     ------
     InputError
-        as for `claim`, and where another process writes to it.
+        as for `claim`, and if another process writes to it.
     """
     if folder is None:
         yield
@@ -42,8 +42,8 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
     Raises
     ------
     InputError
-        where it holds files but no result, a sampling that was interrupted and is not to be resumed, or a sampled
-        result that is not to be replaced; where an interrupted change cannot be completed.
+        if it holds files but no result, a sampling that was interrupted and is not to be resumed, or a sampled
+        result that is not to be replaced; if an interrupted change cannot be completed.
     """
     complete(folder)
     if folder.is_dir():
@@ -73,7 +73,7 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
 
 @contextmanager
 def claimed_new(folder: Path | None, parent: Path | None) -> Iterator[None]:
-    """Hold a folder for the model after `parent`; raises InputError where it holds a result."""
+    """Hold a folder for the model after `parent`; raises InputError if it holds a result."""
     if folder is None:
         yield
         return
@@ -84,7 +84,7 @@ def claimed_new(folder: Path | None, parent: Path | None) -> Iterator[None]:
 
 
 def refuse_taken(folder: Path, parent: Path | None) -> None:
-    """Raise InputError where a folder holds a result."""
+    """Raise InputError if a folder holds a result."""
     complete(folder)
     if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
         raise input_error(
@@ -96,7 +96,7 @@ def refuse_taken(folder: Path, parent: Path | None) -> None:
 
 
 def _sampled(folder: Path) -> bool:
-    """Tell whether the result of a folder was sampled; one that cannot be read is taken for sampled."""
+    """Return whether the result of a folder was sampled; one that cannot be read is taken for sampled."""
     try:
         return json.loads((folder / SUMMARY).read_bytes()).get("sampled") is not False
     except (OSError, ValueError, AttributeError):
@@ -104,7 +104,7 @@ def _sampled(folder: Path) -> bool:
 
 
 def _interrupted(folder: Path) -> bool:
-    """Tell whether a folder holds a sampling of which there is no result."""
+    """Return whether a folder holds a sampling of which there is no result."""
     checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY
     if not steps_in(checkpoint):
         return False

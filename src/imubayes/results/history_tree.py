@@ -55,13 +55,13 @@ class FitRecord(Record):
 
 
 def read_fit_record(folder: str | Path) -> FitRecord:
-    """Return `fit.json` of a result folder; raises InputError where that is not whole."""
+    """Return `fit.json` of a result folder; raises InputError if that is not whole."""
     checked(Path(folder))
     return read_record(Path(folder) / FIT, FitRecord)
 
 
 def refuse_other_data(folder: str | Path, campaign: Campaign) -> None:
-    """Raise InputError where a result folder is not of a campaign as it is now."""
+    """Raise InputError if a result folder is not of a campaign as it is now."""
     if read_fit_record(folder).data_hash != campaign.digest:
         raise input_error(
             f"the result is not of the campaign '{campaign.name}' as it is now",
@@ -98,7 +98,7 @@ def _folder(places: CampaignPlaces, folder: Path) -> Path:
 
 
 def read_node(folder: Path) -> Node:
-    """Return the node of a result folder; raises InputError where that is not whole or has none."""
+    """Return the node of a result folder; raises InputError if that is not whole or has none."""
     if not checked(folder).holds(HISTORY):
         allowed = "a folder written by `imubayes fit`, `imubayes add` or `imubayes remove`"
         raise input_error("this result has no history", str(folder / HISTORY), allowed, AGAIN)
@@ -111,7 +111,7 @@ def read_tree(folders: Sequence[str | Path]) -> Tree:
     Raises
     ------
     InputError
-        where one of the folders, or an ancestor of one, is no whole result.
+        if one of the folders, or an ancestor of one, is no whole result.
     """
     nodes = {str(Path(folder).resolve()): read_node(Path(folder)) for folder in folders}
     waiting = list(nodes)
@@ -147,7 +147,7 @@ def _below(place: Path) -> Iterator[tuple[Path, Node]]:
 
 
 def _selected(tree: Tree, root: str) -> str:
-    """Return the place of the model that was selected last in the tree below a root; the root where none was."""
+    """Return the place of the model that was selected last in the tree below a root; the root if none was."""
     together = tree.together_with(root)
     return max((place for _, place in tree.in_order() if place in together), key=_selection)
 
@@ -168,7 +168,7 @@ def select(folder: str | Path) -> Tree:
     Raises
     ------
     InputError
-        where its fit was not taken.
+        if its fit was not taken.
     """
     place = str(Path(folder).resolve())
     tree = read_tree([folder])
@@ -186,6 +186,6 @@ def select(folder: str | Path) -> Tree:
 
 
 def shown_place(place: str) -> str:
-    """Return a folder as seen from here, whole where it lies elsewhere."""
+    """Return a folder as seen from here, whole if it lies elsewhere."""
     relative = os.path.relpath(place)
     return place if relative.startswith("..") else relative

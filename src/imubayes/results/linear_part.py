@@ -3,7 +3,7 @@
 The nested Laplace approximation (`imubayes.inference.nested_laplace`) writes θ = θ̂ + δ + ½ Σ_ij w_i w_j A_ij.  Given
 the noise scales h, δ is normal but for the marginals that are tabulated, and the bend follows from its weak coordinates
 w.  The bend does not change w, so every posterior draw gives back its δ by subtraction.  A quantity q has the linear
-part u = gᵀδ with the variance E_h[gᵀC(h)g] + Var_h[gᵀm(h)], where g is stretched along tabulated directions to their
+part u = gᵀδ with the variance E_h[gᵀC(h)g] + Var_h[gᵀm(h)], if g is stretched along tabulated directions to their
 widths, C(h) is the covariance and m(h) the mean of θ given h.
 """
 
@@ -28,8 +28,8 @@ _AT_ONCE, _BENT_AT_ONCE = 40, 500
 CONDITIONING_WORK = 2e9
 """Multiplications spent on averaging variances over draws of the noise scales.
 
-Origin: a quarter of a second on one core.  Variances scatter over draws by 30 % where a scale is known, which the 600
-draws of a large model average to 1.2 %, 0.6 % of the standard uncertainty; where a scatter between runs is known from
+Origin: a quarter of a second on one core.  Variances scatter over draws by 30 % if a scale is known, which the 600
+draws of a large model average to 1.2 %, 0.6 % of the standard uncertainty; if a scatter between runs is known from
 its prior alone they scatter by several times themselves, so a small model takes all draws.
 """
 _LEAST_DRAWS = 40
@@ -61,7 +61,7 @@ class LinearPart:
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of them.
     blocks : precision of θ given the noise scales.
-    shape : marginals of weak directions that are not normal; None where all are.
+    shape : marginals of weak directions that are not normal; None if all are.
     """
 
     z: np.ndarray
@@ -109,7 +109,7 @@ class LinearPart:
 def linear_part(fit: Fit, about: Linearised) -> LinearPart:
     """Return the linear part of the posterior of a fit, linearised about its mode.
 
-    That of its approximation where the fit was made in this process; of a fit read from a result folder it is made
+    That of its approximation if the fit was made in this process; of a fit read from a result folder it is made
     again, which costs two predictions for each pair of weak directions.
     """
     if fit.posterior is not None:

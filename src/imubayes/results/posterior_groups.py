@@ -5,8 +5,8 @@ tree of xarray, which takes long to import.
 
 A variable of the posterior holds draws by name, unit and labelled dimensions, without gaps.  An array has a number for
 every combination of its labels, but parameters come as they are declared: a gyro has no accelerometer bias.  So a
-dimension holds exactly the labels that its variables have.  It is called ``channel`` where these are all channels of
-the campaign, ``gyro_channel`` where they are all gyros, and so on; where combinations of labels do not make a full
+dimension holds exactly the labels that its variables have.  It is called ``channel`` if these are all channels of
+the campaign, ``gyro_channel`` if they are all gyros, and so on; if combinations of labels do not make a full
 grid, such as the angles between pairs of axes, they share one dimension of joint labels.
 """
 
@@ -197,7 +197,7 @@ def _derived(fit: Fit) -> dict[str, Members]:
 
 # The dimension of what was measured.
 ENTRY = "entry"
-# Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and
+# Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO shows nothing, and
 # at most; outputs are replicated of the same draws, as LOO-PIT asks for, and of a quarter as many of the prior.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
 _PRIOR_SHARE = 4
@@ -356,20 +356,20 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
 
 
 def rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return values rounded to multiples of powers of two not above a step; as they are where it is 0 or not finite."""
+    """Return values rounded to multiples of powers of two not above a step; as they are if it is 0 or not finite."""
     some = np.isfinite(step) & (step > 0)
     power = np.exp2(np.floor(np.log2(np.where(some, step, 1.0))))
     return np.where(some, np.round(values / power) * power, values)
 
 
 def _without_noise(draws: np.ndarray) -> np.ndarray:
-    """Return draws (chain, draw, D) rounded to a share of their spread, or of themselves where they are smaller."""
+    """Return draws (chain, draw, D) rounded to a share of their spread, or of themselves if they are smaller."""
     spread = _spread(draws.reshape(-1, draws.shape[-1]))
     return rounded(draws, _SHARE * np.minimum(spread, np.abs(draws)))
 
 
 def _spread(draws: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of draws (S, D), (D,), or that of their quartiles where it is smaller."""
+    """Return the standard deviation of draws (S, D), (D,), or that of their quartiles if it is smaller."""
     low, high = np.quantile(draws, (0.25, 0.75), axis=0)
     return np.fmin(draws.std(axis=0), (high - low) / 1.349)
 

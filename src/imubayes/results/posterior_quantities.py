@@ -54,7 +54,7 @@ def posterior_quantities(result: Result) -> PosteriorQuantities:
     Raises
     ------
     InputError
-        where the result has no draws, because the fit did not converge.
+        if the result has no draws, because the fit did not converge.
     """
     summary = result.summary
     if not summary.converged:
@@ -81,7 +81,7 @@ def with_combinations(known: PosteriorQuantities, combinations: Sequence[Combina
     return PosteriorQuantities(entries, draws, effective)
 
 
-# Rounds of sampling: the first tells how many draws are needed, the second mostly is the last.
+# Rounds of sampling: the first shows how many draws are needed, the second mostly is the last.
 _MOST_ROUNDS = 4
 # Draws beyond those that the errors ask for, which are estimates themselves.
 _MARGIN = 1.15
@@ -99,7 +99,7 @@ def fit_until_digits(
 ) -> Fit:
     """Fit a model and sample until the draws support so many digits of the standard uncertainty of every quantity.
 
-    It ends earlier where the fit does not converge or the most draws are reached; a quantity that then deserves fewer
+    It ends earlier if the fit does not converge or the most draws are reached; a quantity that then deserves fewer
     digits is stated with these, or withheld.
 
     Parameters

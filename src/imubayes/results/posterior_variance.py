@@ -7,8 +7,8 @@ the nonlinear part.  V is the variance of u under the nested Laplace approximati
 
 - The sampled u hold what is not q.  A sum that is known a thousand times better than its members has a u with what is
   left of their bend beyond the second order.  The regression of u on q then has the slope 1, and that of q on u less;
-  where it is q that bends, it is the other way round.  If the draws of q have the variance V, as they do if q is linear
-  in what the data tell, V stands, with the Monte Carlo error of the draws that confirm it.
+  if it is q that bends, it is the other way round.  If the draws of q have the variance V, as they do if q is linear
+  in what the data determine, V stands, with the Monte Carlo error of the draws that confirm it.
 - The sampled u contradict V by more than their Monte Carlo error allows.  Then the posterior is not that of the
   approximation and the sample variance itself is taken: the curvature that Gauss–Newton neglects, for one, changes
   widths by some per cent.
@@ -62,7 +62,7 @@ class PosteriorVariance:
 
 
 def variance_of(values: np.ndarray, linear: np.ndarray, known: KnownVariance, effective: float) -> PosteriorVariance:
-    """Return the variance of draws (S,); their linear part, (S,), serves as control variate where it has that known."""
+    """Return the variance of draws (S,); their linear part, (S,), serves as control variate if it has that known."""
     finite = np.isfinite(values)
     if not values[finite].std() > _ROUNDING * np.max(np.abs(values[finite])):
         return PosteriorVariance(0.0, 0.0)

@@ -1,6 +1,6 @@
-"""What is reported of runs that a fitted model predicts: goodness of prediction, and the estimates they contradict.
+"""Records of runs that a fitted model predicts: goodness of prediction, and the estimates they contradict.
 
-A prediction fails where the readings together, a run and channel, or the shift of an estimate are less likely than one
+A prediction fails if the readings together, a run and channel, or the shift of an estimate are less likely than one
 in a hundred; the three are asked at once, of all runs and channels and of all estimates, and share that chance
 (Bonferroni).
 """

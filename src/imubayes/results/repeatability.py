@@ -1,14 +1,15 @@
 """Two calibrations of one unit compared: whether they agree within their uncertainties, what moved, and both as one.
 
-Both posteriors are Gaussian about their modes, in z, where every prior is N(0, W²).  What both have in common (the
+Both posteriors are Gaussian about their modes, in z, if every prior is N(0, W²).  What both have in common (the
 unit, and equipment that stayed) has one true value and one prior, and so the errors are correlated: with the posterior
 covariances C_A and C_B the error of an estimate has the part −C W⁻² (θ − prior mean), and
 
     Cov(A − B) = C_A + C_B − X − Xᵀ,    X = C_A W⁻² C_B over the columns of what is common.
 
-What the prior alone says is not compared that way: its X is C_A + C_B.  Nor does an uncertainty of the equipment count
-that both share; √(U_A² + U_B²), which takes the two as independent, contains it twice.  E_n is the difference over its
-expanded uncertainty, k = 2 (ISO/IEC 17043).  Both as one have the precision Λ_A + Λ_B + W⁻², the prior counted once.
+Quantities known from the prior alone are not compared that way: its X is C_A + C_B.  Nor does an uncertainty of the
+equipment count that both share; √(U_A² + U_B²), which takes the two as independent, contains it twice.  E_n is the
+difference over its expanded uncertainty, k = 2 (ISO/IEC 17043).  Both as one have the precision Λ_A + Λ_B + W⁻², the
+prior counted once.
 
 By the drift between both a quantity may leave its limits: then the next calibration is due.  Two calibrations fix a
 straight line and cannot test it: the interval is stated with that reservation, and for ten times the time between them
@@ -85,7 +86,7 @@ class NextDue(Record):
     rate, rate_sd : drift per year, and its standard uncertainty.
     lower, upper : limits; None if there is none.
     days : after the second calibration, until the value with its expanded uncertainty (k = 2) reaches a limit; None
-        where it does not within ten times the days between both.
+        if it does not within ten times the days between both.
     """
 
     name: str

@@ -321,7 +321,7 @@ def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds:
 
 
 def opened(result: Result | str | Path) -> Result:
-    """Return a result, read where it is given by its folder; see `read_result`."""
+    """Return a result, read if it is given by its folder; see `read_result`."""
     return result if isinstance(result, Result) else read_result(result)
 
 

@@ -39,7 +39,7 @@ _COMPRESSED, _BLOCK = 4096, 1600
 
 def write_posterior(groups: Groups, file: Path) -> None:
     """Write groups; a reader that follows the CF conventions finds each coordinate."""
-    # In memory: HDF5 crashes the process where the disk is full.
+    # In memory: HDF5 crashes the process if the disk is full.
     with h5py.File(file.name, "w", driver="core", backing_store=False, track_order=True) as root:
         about = f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.version.version}"
         root.attrs["_NCProperties"] = np.bytes_(about)
@@ -169,7 +169,7 @@ def write_model(spec: ModelSpec, file: Path) -> None:
     Raises
     ------
     InputError
-        where another file of such a name is there; nothing is written then.
+        if another file of such a name is there; nothing is written then.
     """
     named = {file.with_name(Path(source).name): Path(source) for source in spec.files}
     if spec.noise_priors is not None:
@@ -185,7 +185,7 @@ def write_model(spec: ModelSpec, file: Path) -> None:
 
 
 def _set_aside(spec: ModelSpec) -> dict[str, Any]:
-    """Return the entries of the readings that a model leaves out; nothing where there are none."""
+    """Return the entries of the readings that a model leaves out; nothing if there are none."""
     entries = [each.model_dump(mode="json", exclude_defaults=True) for each in spec.set_aside]
     return {"set_aside": entries} if entries else {}
 

@@ -127,7 +127,7 @@ class Residuals:
     def by_run_and_channel(self) -> tuple[RunSummary, ...]:
         """Return n, χ², rms, rms within the run and noise for each run and channel, in input units.
 
-        What is not finite is None.
+        A number that is not finite is None.
         """
         grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
             pl.len().alias("n"),

@@ -2,8 +2,8 @@
 
 It holds the combinations that the data determine although they do not determine their members, with their estimates.
 
-It names the intervals that rest on the prior of a noise scale which the data do not tell.  Few runs say little of the
-scatter between runs.  Where their offsets are also those of a parameter, the posterior of that parameter is a mixture
+It names the intervals that rest on the prior of a noise scale which the data do not determine.  Few runs say little of
+the scatter between runs.  If their offsets are also those of a parameter, the posterior of that parameter is a mixture
 of narrow and wide ones, as the prior of the scatter has it: its tails are far beyond what its standard deviation
 suggests, and another prior gives another interval.
 """
@@ -52,7 +52,7 @@ def combinations(fit: Fit, precision: np.ndarray | None) -> tuple[EstimatedCombi
 
     Parameters
     ----------
-    precision : shape (P, P), posterior precision of the parameters in z; None where the fit did not converge.
+    precision : shape (P, P), posterior precision of the parameters in z; None if the fit did not converge.
     """
     posterior, layout = fit.posterior, fit.model.layout
     if posterior is None or precision is None:
@@ -196,7 +196,7 @@ def noise_of(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...]]:
 
 
 def _sampling(chains: Chains | None) -> dict[str, Any]:
-    """Return what is said of the sampling; nothing was sampled where there are no chains."""
+    """Return what is said of the sampling; nothing was sampled if there are no chains."""
     if chains is None:
         return {"sampled": False, "acceptance": None}
     return {"sampled": True, "acceptance": chains.acceptance, "pareto_k": chains.diagnosis.pareto_k}
@@ -211,7 +211,7 @@ def _contributions(
 
 
 def _parameters(fit: Fit) -> tuple[records.ParameterSummary, ...]:
-    """Return one line per parameter; estimates are None where the fit did not converge."""
+    """Return one line per parameter; estimates are None if the fit did not converge."""
     parameters = fit.model.layout.parameters + fit.model.hyper_layout.parameters
     fixed: list[dict[str, Any]] = [
         {"name": p.name, "unit": p.unit, "nuisance": p.nuisance, "prior_sd": finite(p.prior_sd)} for p in parameters
@@ -235,7 +235,7 @@ def _parameters(fit: Fit) -> tuple[records.ParameterSummary, ...]:
 
 
 def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
-    """Return R̂ and effective sizes of a parameter; nothing where the posterior was not sampled."""
+    """Return R̂ and effective sizes of a parameter; nothing if the posterior was not sampled."""
     if fit.posterior is None or fit.posterior.chains is None:
         return {}
     found = fit.posterior.chains.diagnosis
@@ -243,7 +243,7 @@ def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
 
 
 def _derived(fit: Fit) -> tuple[records.DerivedSummary, ...]:
-    """Return one line per derived quantity; estimates are None where the fit did not converge."""
+    """Return one line per derived quantity; estimates are None if the fit did not converge."""
     names = fit.derived.names
     if fit.posterior is None:
         return tuple(records.DerivedSummary(name=n.name, unit=n.unit, within=_conformance(fit, n, None)) for n in names)

@@ -108,7 +108,7 @@ class Quantity(Record):
 
     @property
     def repeats_misalignments(self) -> bool:
-        """Whether it is a component of an input axis, which tells nothing beyond the misalignments."""
+        """Whether it is a component of an input axis, which shows nothing beyond the misalignments."""
         return channel_of_component(self.name) is not None
 
 
@@ -146,7 +146,7 @@ class CombinedQuantities(Record):
     quantities, weights : the members, and their weights in `unit` over the unit of each.  The weights are None for
         k′ = k cos θ, whose members are the scale factor k and the mounting angle θ.
     constant : added to the sum, in `unit`.
-    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
+    middle_of : run in the middle of whose record it holds, if it changes with time; else empty.
     """
 
     name: str
@@ -282,7 +282,7 @@ def channel_units(summary: Summary) -> dict[str, tuple[str, str]]:
 def in_output_units(summary: Summary) -> Summary:
     """Return a summary whose parameters have the output units of their channels in place of `output`.
 
-    What belongs to channels of different output units keeps it.
+    A quantity of channels of different output units keeps it.
     """
     units = {channel: output for channel, (output, _) in channel_units(summary).items()}
     common = next(iter(units.values())) if len(set(units.values())) == 1 else ""

@@ -1,6 +1,6 @@
 """Quantities over a temperature range: bias and scale factor with the thermal terms that the model has.
 
-A limit that holds from T₁ to T₂ is met by a draw where the quantity is within it at every temperature between.  Bias
+A limit that holds from T₁ to T₂ is met by a draw if the quantity is within it at every temperature between.  Bias
 has polynomial terms in T − T_ref that add, scale factor such that multiply; other quantities do not depend on the
 temperature of the sensor in the model.
 """
@@ -78,7 +78,7 @@ def thermal_model(
 
 
 def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
-    """Tell whether a quantity has thermal terms among the draws."""
+    """Return whether a quantity has thermal terms among the draws."""
     parts = QuantityName.of(name)
     found = FAMILIES.get(parts.family)
     return found is not None and any(
@@ -104,7 +104,7 @@ def course_over_range(
 def over_range(
     name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
 ) -> np.ndarray:
-    """Return the draws of a quantity at temperatures over a range, shape (S, T); (S, 1) where it depends on none.
+    """Return the draws of a quantity at temperatures over a range, shape (S, T); (S, 1) if it depends on none.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ class UnitToExplore:
 
     Attributes
     ----------
-    campaign : returns the folder of its campaign, or the campaign where it is in no folder; raises InputError.
+    campaign : returns the folder of its campaign, or the campaign if it is in no folder; raises InputError.
     model, out : that it is fitted with, and the result folder of that fit.
     """
 

@@ -164,7 +164,7 @@ def population(
 
 
 def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "HierarchicalFit":
-    """Return the hierarchical fit of a batch, made where it is not kept."""
+    """Return the hierarchical fit of a batch, made if it is not kept."""
     start_jax()
     from imubayes_archive.population.hierarchical_fit import hierarchical_fit
     from imubayes_archive.unit_fits.posterior_table import kept_model

@@ -50,8 +50,8 @@ class ArchivedCampaign:
     Attributes
     ----------
     file : the file.
-    unit, name : serial number of the unit, the name of the campaign where it has none; the name of the campaign.
-    date : ISO date of the first run; empty where no run is dated.
+    unit, name : serial number of the unit, the name of the campaign if it has none; the name of the campaign.
+    date : ISO date of the first run; empty if no run is dated.
     digest : SHA-256 of the files that it was packed from.
     source : the folder that it was packed from.
     runs, rows, channels : their numbers.
@@ -71,12 +71,12 @@ class ArchivedCampaign:
 
 
 def unit_of(campaign: Campaign) -> str:
-    """Return the serial number of the unit; the name of the campaign where it has none."""
+    """Return the serial number of the unit; the name of the campaign if it has none."""
     return campaign.serial or campaign.name
 
 
 def date_of(campaign: Campaign) -> str:
-    """Return the ISO date of the first run that is dated; empty where none is."""
+    """Return the ISO date of the first run that is dated; empty if none is."""
     return min((run.start[:10] for run in campaign.runs if run.start), default="")
 
 
@@ -151,7 +151,7 @@ def _of_tumble(arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_head(file: Path) -> ArchivedCampaign:
-    """Return what the metadata of a file say; raises InputError where it is no file of an archive."""
+    """Return what the metadata of a file say; raises InputError if it is no file of an archive."""
     head = _head(file, pq.read_metadata, lambda metadata: metadata.metadata)
     try:
         campaign = head["campaign"]
@@ -169,7 +169,7 @@ def read_campaign(file: Path) -> Campaign:
     Raises
     ------
     InputError
-        where the file is damaged: it cannot be read, or its content does not have the checksum it was written with.
+        if the file is damaged: it cannot be read, or its content does not have the checksum it was written with.
     """
     found: list[pa.Table] = []
 

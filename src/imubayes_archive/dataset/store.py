@@ -92,7 +92,7 @@ class Archive:
 
 
 def open_archive(folder: str | Path) -> Archive:
-    """Return the archive in a folder; raises InputError where there is none."""
+    """Return the archive in a folder; raises InputError if there is none."""
     archive = Archive(Path(folder))
     if not archive.files():
         raise input_error(
@@ -132,7 +132,7 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
     Parameters
     ----------
     folders : campaign folders; those that the archive holds, by the digest of their files, are passed over.
-    out : the archive, made where there is none.
+    out : the archive, made if there is none.
     progress : called with a short text as the work goes on.
     """
     archive, tell = Archive(out), progress or (lambda text: None)
@@ -170,7 +170,7 @@ def _kept(campaign: Campaign, out: Path) -> Path:
 def folder_digest(folder: Path) -> str:
     """Return the digest of the files of a campaign folder.
 
-    Runs whose files are missing are left out; it is that of the campaign file alone where its runs cannot be told.
+    Runs whose files are missing are left out; it is that of the campaign file alone if its runs are not known.
     """
     file = folder / CAMPAIGN_FILE
     try:

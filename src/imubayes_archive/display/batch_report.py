@@ -1,7 +1,7 @@
 """Reports of a batch: progress and results, answers to the questions asked of it, and what its units show together.
 
 The progress states how far a batch is, what is in the results folder, and which units have no estimates.  The answers
-concern populations, priors, comparisons and drift.  What the units show together are findings, the units for and
+concern populations, priors, comparisons and drift.  Results on the units together are findings, the units for and
 against them, and other candidates.
 """
 
@@ -235,7 +235,7 @@ def _finding_lines(each: PooledFinding) -> list[str]:
 
 
 def _size(each: PooledFinding) -> str:
-    """Return the coefficients where they are common to all units."""
+    """Return the coefficients if they are common to all units."""
     known = [f", {c.name} = {concise(c.value, c.sd)} {c.unit}" for c in each.coefficients]
     return "".join(known) if each.evidence.law == "common" else ""
 

@@ -53,7 +53,7 @@ def population_page(place: Path, progress: Tell) -> UnitPage | None:
 
 
 def _of_model(place: Path) -> bool:
-    """Tell whether a folder is that of one model of a batch."""
+    """Return whether a folder is that of one model of a batch."""
     return place.name.startswith("model-") and (place / MODEL_FILE).is_file() and any(place.glob("part-*"))
 
 

@@ -36,7 +36,7 @@ class ParameterChange(Record):
     Attributes
     ----------
     campaigns, significant : number of campaigns, and of those whose change is significant.
-    mean_change, mean_change_sd : weighted mean of the changes, and its standard deviation; None where it is not known.
+    mean_change, mean_change_sd : weighted mean of the changes, and its standard deviation; None if it is not known.
     rms_ratio : root mean square of the changes in units of the new standard deviation.
     sd_ratio : median ratio of the new standard deviation to the old.
     p : of no change in any campaign.
@@ -144,7 +144,7 @@ def _changes(joined: pl.DataFrame) -> pl.DataFrame:
     """Return every change with its standard deviation and p-value."""
     old_sd, new_sd = joined["sd"].to_numpy(), joined["sd_new"].to_numpy()
     change = joined["mean_new"].to_numpy() - joined["mean"].to_numpy()
-    # Also where the new model is the smaller one.
+    # Also if the new model is the smaller one.
     variance = np.maximum(np.abs(new_sd**2 - old_sd**2), _LEAST_SHARE * np.maximum(new_sd, old_sd) ** 2)
     deviation = np.sqrt(variance)
     p = 2 * normal_survival(np.abs(change) / np.where(deviation > 0, deviation, np.inf))

@@ -64,7 +64,7 @@ class OutlyingUnit(Record):
 
 
 class ParameterPopulation(Record):
-    """The population of one parameter; numbers are None where `reason` says why there is no estimate.
+    """The population of one parameter; numbers are None if `reason` says why there is no estimate.
 
     Attributes
     ----------

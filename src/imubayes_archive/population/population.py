@@ -1,7 +1,7 @@
 """The population of a parameter: mean and spread over units, each unit's estimate given the others, and draw errors.
 
 The *spread* is half the width of the interval that holds the central 68.3 % of the population: its standard deviation
-under the normal law, and a number of the same meaning under the t law, which replaces it where the units have heavier
+under the normal law, and a number of the same meaning under the t law, which replaces it if the units have heavier
 tails.  Units are treated as independent: an error that all of them share, such as that of one table, is in the mean.
 
 A population must not be inferred from posteriors as they are: each of them contains the prior of the model, n units
@@ -50,7 +50,7 @@ class UnitPosteriors:
     ----------
     mean, sd : shape (n,), posterior mean and standard deviation.
     prior_mean, prior_sd : shape (n,), of the prior; an infinite standard deviation is a flat prior.
-    draws : shape (n,), effective number of draws that mean and sd were estimated from; infinite where they are exact.
+    draws : shape (n,), effective number of draws that mean and sd were estimated from; infinite if they are exact.
     stated : mean and standard deviation of the prior of the model, if these posteriors have other priors.
     """
 
@@ -169,7 +169,7 @@ LEAST_UNITS = 5
 STUDENT_FREEDOM = (2.0, 4.0, 8.0)
 """Degrees of freedom of the t laws compared with the normal law (convention)."""
 TAIL_ALARM = 0.1
-"""The t laws are tried where the most distant unit has a p-value below this, all units counted (effort)."""
+"""The t laws are tried if the most distant unit has a p-value below this, all units counted (effort)."""
 RATE = 0.05
 """False discovery rate of outlying units, drifting parameters and changed estimates (convention)."""
 MASS = 0.95
@@ -183,7 +183,7 @@ class Population:
     Attributes
     ----------
     units, informative : number of units, and of those that carry information.
-    reason : why there is no estimate; empty where there is one.  The numbers below are NaN without one.
+    reason : why there is no estimate; empty if there is one.  The numbers below are NaN without one.
     freedom : degrees of freedom of the t law; infinite for the normal law.
     mean, mean_sd, mean_interval : of the population mean, the interval with 95 % probability.
     spread, spread_sd, spread_interval : of the spread, the interval the shortest.
@@ -226,7 +226,7 @@ class ShrunkUnits:
     p : shape (n,), two-sided p-value of that distance, the unit itself not counted to the population; 1 without
         information.
     outlying : shape (n,), bool, at a false discovery rate of 5 % (Benjamini–Yekutieli).
-    others : mean and standard deviation of each unit given the other units alone, shape (n,) each; None where they
+    others : mean and standard deviation of each unit given the other units alone, shape (n,) each; None if they
         follow from those given all units and the likelihood of the unit.
     """
 
@@ -282,7 +282,7 @@ def core_width(freedom: float) -> float:
 
 
 def _law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
-    """Return the posterior under the law with the largest evidence; the t laws only where a unit is far out."""
+    """Return the posterior under the law with the largest evidence; the t laws only if a unit is far out."""
     normal = normal_law(estimate, variance)
     middle = float(np.median(estimate))
     core = max((float(np.median(np.abs(estimate - middle))) / 0.6745) ** 2 - float(np.median(variance)), 0.0)
@@ -294,7 +294,7 @@ def _law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
 
 
 def shrunk(units: UnitPosteriors, found: Population) -> ShrunkUnits:
-    """Return the units with the population as prior; raises ValueError where there is no population."""
+    """Return the units with the population as prior; raises ValueError if there is no population."""
     if found.posterior is None:
         raise ValueError(found.reason)
     estimate, variance = units.likelihood

@@ -1,4 +1,4 @@
-"""What the units of an archive have in common and what parts them, by name: groups, steps, trends and covariates."""
+"""Common properties and differences of the units of an archive, by name: groups, steps, trends and covariates."""
 
 from collections.abc import Sequence
 

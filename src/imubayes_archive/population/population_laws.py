@@ -68,7 +68,7 @@ class GridPosterior:
         return normal_mixture_quantile(probability, self.weight, self.centre, np.sqrt(self.centre_variance))
 
     def scale_interval(self, mass: float, factor: float = 1.0) -> tuple[float, float]:
-        """Return the shortest interval that holds `mass` of `factor` times the scale; it reaches 0 where τ may be 0."""
+        """Return the shortest interval that holds `mass` of `factor` times the scale; it reaches 0 if τ may be 0."""
         scale, place = np.unique(self.scale, return_inverse=True)
         weight = np.bincount(place, self.weight)
         edges = np.concatenate([[max(0.0, 1.5 * scale[0] - 0.5 * scale[1])], (scale[1:] + scale[:-1]) / 2, scale[-1:]])

@@ -44,7 +44,7 @@ class KnownPrior:
 
 @dataclass(frozen=True)
 class ReplacedPrior:
-    """A prior of the new model, and the one that it replaces; empty where that was the default of the effect."""
+    """A prior of the new model, and the one that it replaces; empty if that was the default of the effect."""
 
     parameter: str
     prior: str
@@ -58,12 +58,12 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
     ----------
     spec : the model of the batch.
     found : its populations.
-    name : of the new model; that of the old one with ``-population`` where empty.
+    name : of the new model; that of the old one with ``-population`` if empty.
 
     Raises
     ------
     InputError
-        where no parameter has a population.
+        if no parameter has a population.
     """
     changed, replaced = with_priors(spec, known_priors(found), [each.parameter for each in found.parameters])
     source = f"the population of {found.units} units (model {found.model})"

@@ -27,7 +27,7 @@ MEMBER, UNDECIDED = 0.5, 0.05
 """Probability from which a unit is listed with a group, and above which membership in another is possible."""
 _KINDS = 4
 _MOST_FINDINGS, _MOST_GROUPS, _LEAST_LEVEL = 3, 4, 2
-# Correlation of two designs from which on the units do not tell them apart.
+# Correlation of two designs from which on the units do not distinguish them.
 _ALIKE = 0.95
 
 
@@ -234,9 +234,9 @@ def _of_levels(covariate: UnitCovariate) -> np.ndarray:
 def _likeliest_step(
     units: UnitEstimates, base: np.ndarray, covariate: UnitCovariate, plain: LawFit
 ) -> tuple[Candidate | None, float]:
-    """Return the likeliest step over an ordered covariate, and the logarithm of its share among all steps, negated.
+    """Return the most probable step over an ordered covariate, and the logarithm of its share among all steps, negated.
 
-    All places of the step are compared by weighted least squares at the spread of the likeliest one.
+    All places of the step are compared by weighted least squares at the spread of the most probable one.
     """
     assert covariate.ordered is not None
     values = np.unique(covariate.ordered)

@@ -28,7 +28,7 @@ from imubayes_archive.population.population_search import Structure, UnitCovaria
 from imubayes_archive.population.population_structure import UnitEstimates
 
 Scale = Literal["linear", "log"]
-# Relative agreement of (sd/prior sd)² with 1 − from_data, which is computed where the prior is normal.
+# Relative agreement of (sd/prior sd)² with 1 − from_data, which is computed if the prior is normal.
 _NORMAL_PRIOR = 0.05
 # Sweeps over all parameters at most; changes of a mean in its standard deviations and of a spread that end them.
 _SWEEPS, _SETTLED = 8, 0.02

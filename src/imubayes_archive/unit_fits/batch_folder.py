@@ -108,11 +108,11 @@ class UnitSource:
         return UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], row["file"].endswith(".parquet"))
 
     def read(self) -> Campaign:
-        """Return the campaign; raises InputError where it cannot be used."""
+        """Return the campaign; raises InputError if it cannot be used."""
         return read_campaign(Path(self.path)) if self.archived else load_campaign(self.path)
 
     def fingerprint(self) -> str:
-        """Return a digest of what stands there now, whatever it is; empty where it is gone."""
+        """Return a digest of what stands there now, whatever it is; empty if it is gone."""
         path = Path(self.path)
         try:
             return hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS] if self.archived else folder_digest(path)
@@ -126,7 +126,7 @@ def sources_of(place: str | Path) -> list[UnitSource]:
     Raises
     ------
     InputError
-        where there is none.
+        if there is none.
     """
     files = Archive(Path(place)).files()
     found = _archived(files) if files else _folders(place)
@@ -206,7 +206,7 @@ class PartFiles:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Hold the folder for writing; raises InputError where another process holds it."""
+        """Hold the folder for writing; raises InputError if another process holds it."""
         self.results.mkdir(parents=True, exist_ok=True)
         with only_writer(self.results):
             for scratch in tables.model_folder(self.results, self.key).glob(".part-*"):

@@ -159,7 +159,7 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
 
 
 def _in_lanes_if_possible(group: Sequence[BoundUnit], padded: bool) -> list[Fit | None]:
-    """Return what `_in_lanes` does; None for all where it fails, so that an error is that of one unit.
+    """Return what `_in_lanes` does; None for all if it fails, so that an error is that of one unit.
 
     A matrix without inverse is the fault of a unit.  Any other error is one of this package: it must not go unseen.
     """

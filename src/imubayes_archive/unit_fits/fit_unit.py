@@ -7,8 +7,8 @@ the sums over groups instead of the whole Jacobian.  θ is drawn given each of a
 each.  The normal vectors behind the draws are the same for all units: a quasi-random sequence with the mean and the
 covariance of the standard normal, so that mean and covariance of a normal posterior have no Monte Carlo error.
 
-The importance weights w of a few draws tell whether the Laplace approximation of a unit is in doubt.  The weighted
-draws tell directly how far means and standard deviations are off, unless the approximation lacks a part of the
+The importance weights w of a few draws show whether the Laplace approximation of a unit is in doubt.  The weighted
+draws show directly how far means and standard deviations are off, unless the approximation lacks a part of the
 posterior: its draws rarely come there, and a sample without one of them overstates its effective size severalfold.
 That shows in the shape of the weights: the index k̂ of their tail (Vehtari, Simpson, Gelman, Yao & Gabry 2024) and
 their skewness.
@@ -58,7 +58,7 @@ from imubayes_archive.unit_fits.posterior_table import (
 
 # Draws weighed.  Effort: weighted moments are known to 0.03 standard deviations.
 _DRAWS = 1000
-# Where the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
+# If the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and the shape of weights that hardly differ does not matter.
 _LARGEST = 2.5
 # A proposal whose standard deviation is a fifth too small gives 5.4, one that is off by one standard deviation 4.4.
@@ -71,7 +71,7 @@ _OFF = 0.2
 
 @dataclass(frozen=True)
 class WeightShape:
-    """What importance weights say; infinite where no draw is possible.
+    """What importance weights say; infinite if no draw is possible.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ def _sobol(count: int, dimensions: int, seed: int) -> np.ndarray:
 
 
 def _standardised(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors with mean 0 and covariance 1; as they are where there are too few for the dimensions."""
+    """Return vectors with mean 0 and covariance 1; as they are if there are too few for the dimensions."""
     centred = vectors - vectors.mean(axis=0)
     if len(vectors) <= 2 * vectors.shape[1]:
         return centred / centred.std(axis=0)
@@ -240,7 +240,7 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
 
 
 def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: UnbentDraws) -> Fit:
-    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
+    """Return the fit of one unit, without posterior if its estimates cannot be those of a working unit."""
     z, h = np.asarray(found.model.z), np.asarray(found.h)
     mode = Mode(z, h, float(found.decrement), linearise(model.problem, z), on_host(at), 0, True, True)
     return fit_of_draws(model, mode, np.asarray(axes), on_host(along), drawn)
@@ -283,7 +283,7 @@ def _sampled(model: Model, settings: BatchSettings) -> Fit:
 def sampled_where_in_doubt(
     fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
 ) -> UnitPosterior:
-    """Return the tables' view of a Laplace approximation, sampled where it is in doubt and that was asked for."""
+    """Return the tables' view of a Laplace approximation, sampled if it is in doubt and that was asked for."""
     if settings.sample != "flagged" or fit.posterior is None or not fit.converged:
         return posterior_of(fit, settings, identity, recorded)
     shape = weight_shape(fit, settings.seed)
@@ -383,7 +383,7 @@ def quantiles_of(draws: np.ndarray) -> np.ndarray:
 def _derived(fit: Fit) -> tuple[Quantities, ...]:
     posterior = fit.posterior
     assert posterior is not None
-    # Components of input axes are left out: they tell nothing beyond the misalignments.
+    # Components of input axes are left out: they show nothing beyond the misalignments.
     places = [place for place, each in enumerate(fit.derived.names) if channel_of_component(each.name) is None]
     if not places:
         return ()

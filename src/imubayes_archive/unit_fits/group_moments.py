@@ -2,7 +2,7 @@
 
 A reading depends on few parameters, and all readings of one run and channel, a group, depend on the same ones.  The
 Jacobian is kept by colour (see `imubayes.model.problem.Sparsity`), a few columns instead of one for each parameter, and
-the normal equations are added up group by group.  Where the noise of a group changes only by a factor, moments that are
+the normal equations are added up group by group.  If the noise of a group changes only by a factor, moments that are
 computed once serve all noise scales.
 
 The marginal depends on the noise scales through two numbers of each group, the variance v of its readings and the
@@ -49,10 +49,10 @@ class GroupIndex(eqx.Module):
 
 
 def group_index(problem: Problem) -> GroupIndex | None:
-    """Return the places for a problem; None where it cannot be treated by groups.
+    """Return the places for a problem; None if it cannot be treated by groups.
 
-    That is where rows are correlated, noise has heavy tails, or readings of one group have different parameters; and
-    where there is no noise scale, or a prediction is none of the signal path alone.
+    That is if rows are correlated, noise has heavy tails, or readings of one group have different parameters; and
+    if there is no noise scale, or a prediction is none of the signal path alone.
     """
     if problem.transitions is not None or problem.servos is not None or problem.timeline is not None:
         return None
@@ -77,7 +77,7 @@ def group_index(problem: Problem) -> GroupIndex | None:
 
 
 def _is_proportional(problem: Problem, members: np.ndarray) -> bool:
-    """Tell whether variances within each group keep their ratios whatever the noise scales are."""
+    """Return whether variances within each group keep their ratios whatever the noise scales are."""
     places = np.where(members < len(problem.observations.value), members, members[:, :1])
     ratios = []
     for step in (0.0, 0.7, -1.3):
@@ -128,7 +128,7 @@ class GroupedModel(eqx.Module):
 
 
 def by_group(index: GroupIndex, values: Float[Array, "E *columns"], fill: float = 0.0) -> Array:
-    """Return values of readings as (G, M, …), `fill` where padded."""
+    """Return values of readings as (G, M, …), `fill` if padded."""
     padded = jnp.concatenate([values, jnp.full((1, *values.shape[1:]), fill)])
     return take(padded, index.members)
 
@@ -363,7 +363,7 @@ def marginal_slope(
 
 
 def _blocks(index: GroupIndex, inverse: Float[Array, "P P"]) -> Float[Array, "G K K"]:
-    """Return the block of each group of a matrix, 0 where a group has no parameter."""
+    """Return the block of each group of a matrix, 0 if a group has no parameter."""
     padded = jnp.pad(inverse, (0, 1))
     flat = index.patterns[:, :, None] * padded.shape[0] + index.patterns[:, None, :]
     return take(take(padded.reshape(-1), flat), index.pattern)

@@ -1,6 +1,6 @@
 """The joint fit of units of one structure side by side, in the lanes of one compiled function.
 
-Two bound models have the same structure where their arrays have the same shapes and all places in them, which are
+Two bound models have the same structure if their arrays have the same shapes and all places in them, which are
 integers, are the same: the same runs, channels, parameters and missing readings.  Places are shared by the lanes; only
 numbers are stacked.  The number of lanes is fixed, and the compiled function is driven from Python.  A chunk that does
 not fill the lanes is filled up with copies of its last unit.
@@ -46,7 +46,7 @@ def structure_key(problem: Problem) -> str:
 
 
 def _is_shared(path: tuple, leaf: Any) -> bool:
-    """Tell whether all units of a structure have an array in common: places, and the seeds of the Jacobian."""
+    """Return whether all units of a structure have an array in common: places, and the seeds of the Jacobian."""
     return np.asarray(leaf).dtype.kind != "f" or ".sparsity" in jax.tree_util.keystr(path)
 
 
@@ -137,9 +137,9 @@ _LINEARISATIONS, _HALVINGS = 20, 6
 # Steps of the noise scales: at most this many, ended by one shorter than _SHORT; a step is at most 1 along each axis.
 _CLIMB, _SHORT, _SHORTEST = 40, 1e-4, 1e-2
 _LEAST_CURVATURE, _ROUNDING = 0.1, 1e-9
-# A step of θ is halved where the log density falls by more than rounding, for a decrement of 1.
+# A step of θ is halved if the log density falls by more than rounding, for a decrement of 1.
 _LEVEL = 1e-6
-# The rank-one update is skipped where step and secant error are this close to orthogonal.
+# The rank-one update is skipped if step and secant error are this close to orthogonal.
 _TELLING = 1e-8
 
 
@@ -264,7 +264,7 @@ def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None =
 
     Parameters
     ----------
-    given : noise scales to keep, shape (LANES, H); they are found where None.
+    given : noise scales to keep, shape (LANES, H); they are found if None.
     """
     size, hyper = structure.problem.size
     middle = structure.run(moments.grouped_model, varying, np.zeros((LANES, size)))

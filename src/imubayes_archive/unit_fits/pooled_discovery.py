@@ -1,9 +1,9 @@
 """Effects that the model lacks in all units of a batch or in some, found from all units together.
 
 No unit shows them alone.  Every candidate is weighed over all units, and over the units of one table, mounting or year:
-a fault of equipment shows in many units at once, and in no others.  The likeliest is taken, projected out of its units,
-and the others are weighed again, while something is missing beyond reasonable doubt.  What may stand in the place of an
-effect is reported with its share, the other effects held.  The outcome is a typed record.
+a fault of equipment shows in many units at once, and in no others.  The most probable is taken, projected out of its
+units, and the others are weighed again, while something is missing beyond reasonable doubt.  What may stand in the
+place of an effect is reported with its share, the other effects held.  The outcome is a typed record.
 """
 
 import math
@@ -24,7 +24,7 @@ Equipment = Literal["table", "mounting", "year"]
 
 
 class PooledCoefficient(Record):
-    """A coefficient, as its mean over the units that have it, and the spread over units; 0 where it is common."""
+    """A coefficient, as its mean over the units that have it, and the spread over units; 0 if it is common."""
 
     name: str
     value: float
@@ -39,7 +39,7 @@ class UnitEvidence(Record):
     Attributes
     ----------
     gain : natural logarithm of its evidence for the effect as its law has it; negative speaks against it.
-    probability : that the unit has it: where few have it as they do, else at even odds before its data.
+    probability : that the unit has it: if few have it as they do, else at even odds before its data.
     """
 
     unit: str
@@ -102,8 +102,8 @@ class PooledFinding(Record):
     Attributes
     ----------
     probability : that something is missing in this place.
-    place : what it may be, the likeliest first, until 95 % are told.
-    evidence : of the likeliest.
+    place : what it may be, the most probable first, until 95 % are reported.
+    evidence : of the most probable.
     equipment : whose units have it; None for all.
     named : units that have it with a probability above 0.9, the clearest first.
     supporting, opposing : units that say most for it and against it.
@@ -122,7 +122,7 @@ class PooledFinding(Record):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The names of what it may be, the likeliest first."""
+        """The names of what it may be, the most probable first."""
         return tuple(dict.fromkeys(each.effect for each in self.place))
 
 
@@ -136,7 +136,7 @@ class PooledDiscovery(Record):
     expected : number of missing effects, before the data.
     nothing, nothing_else : probabilities that nothing is missing, and nothing beside the findings.
     findings : in the order in which they were found.
-    ranking : candidates beside the findings, the likeliest first.
+    ranking : candidates beside the findings, the most probable first.
     """
 
     format: Literal[2] = 2
@@ -178,7 +178,7 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
     Raises
     ------
     InputError
-        where no campaign has scores.
+        if no campaign has scores.
     """
     if scores.is_empty():
         raise input_error(
@@ -286,7 +286,7 @@ class _PooledSearch:
         )
 
     def _place(self, ranked: Sequence[pooled.PooledEvidence]) -> Iterator[PlaceShare]:
-        """Yield what may stand in the place of the leader, until 95 % are told."""
+        """Yield what may stand in the place of the leader, until 95 % are reported."""
         mass: dict[tuple[str, int], list[pooled.PooledEvidence]] = {}
         for each in ranked:
             mass.setdefault((each.key.effect, each.group), []).append(each)

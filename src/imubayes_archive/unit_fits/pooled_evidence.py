@@ -285,7 +285,7 @@ class PooledEvidence:
 
     @property
     def law(self) -> Law:
-        """The likeliest law."""
+        """The most probable law."""
         return LAWS[int(np.argmax(self.log_law))]
 
 
@@ -329,7 +329,7 @@ def probability_of_any(ranked: Sequence[PooledEvidence]) -> float:
 
 @dataclass(frozen=True)
 class EffectInUnits:
-    """An effect by its likeliest law, in the n units of a group.
+    """An effect by its most probable law, in the n units of a group.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a batch knows of its units: a table with a row per unit and parameter, and one with a row per unit.
+"""Results of the units of a batch: a table with a row per unit and parameter, and one with a row per unit.
 
 Both are plain Parquet, written in parts: a results folder holds
 
@@ -75,7 +75,7 @@ class UnitIdentity:
     ----------
     unit, campaign, digest, file : serial number, name, digest of the files, and the file or folder it was read from.
     date : of the first run that is dated.
-    structure : key of the structure; empty where the campaign was fitted alone.
+    structure : key of the structure; empty if the campaign was fitted alone.
     tables, mountings, procedures : names, sorted.
     labels : what the campaign states of its unit and its making, such as ``lot=B7``, sorted.
     latitude, height, gravity : of the site: deg, m, m/s².
@@ -145,11 +145,11 @@ class Outcome:
     ----------
     reason, where, fingerprint : what went wrong, the file it is about, and a digest of the campaign as it was; empty
         for a unit that was fitted.
-    verdict : of the diagnosis; empty where none was asked for.
+    verdict : of the diagnosis; empty if none was asked for.
     method : `laplace` or `emcee`.
-    flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
+    flagged : whether the Laplace approximation is in doubt by its importance weights; None if they were not asked.
     pareto_k, weight_skewness : of these weights.
-    draws : effective number of draws that means and standard deviations were estimated from; None where they are exact.
+    draws : effective number of draws that means and standard deviations were estimated from; None if they are exact.
     noise_violations : how the noise departs from its model, such as ``autocorrelation``.
     noise_contradicted : noise scales that exceed what is known of them beforehand.  With either, intervals of the unit
         must not be trusted.
@@ -183,7 +183,7 @@ class UnitPosterior:
 
     Attributes
     ----------
-    quantities : parameters and noise scales, then derived quantities; empty where the unit has no estimates.
+    quantities : parameters and noise scales, then derived quantities; empty if the unit has no estimates.
     covariance : shape (D, D), of parameters and noise scales, in their order and units.
     """
 
@@ -283,7 +283,7 @@ def unit_table(model: str, code: str, units: Sequence[UnitPosterior]) -> pl.Data
 
 
 def models_in(results: str | Path) -> list[str]:
-    """Return the hashes of the models that a results folder holds, oldest first; raises InputError where none."""
+    """Return the hashes of the models that a results folder holds, oldest first; raises InputError if none."""
     folders = [place for place in Path(results).glob(f"{_MODEL}*") if place.is_dir()]
     if not folders:
         raise input_error(
@@ -302,7 +302,7 @@ def model_folder(results: str | Path, model: str) -> Path:
 
 
 def kept_model(results: str | Path, model: str | None) -> Path:
-    """Return the model file of a batch, as it was written; raises InputError where it is not."""
+    """Return the model file of a batch, as it was written; raises InputError if it is not."""
     return unbroken(model_folder(results, chosen_model(results, model)), _AGAIN) / MODEL_FILE
 
 
@@ -317,12 +317,12 @@ def read_parameters(results: str | Path, model: str | None = None) -> pl.DataFra
     Parameters
     ----------
     results : the results folder.
-    model : hash of the model, or its beginning; the only one where None.
+    model : hash of the model, or its beginning; the only one if None.
 
     Raises
     ------
     InputError
-        where there is no such model, or several and none is named.
+        if there is no such model, or several and none is named.
     """
     return pl.concat([PARAMETERS.to_frame(), *_parts(results, model, PARAMETER_FILE)]).sort(_ORDER, maintain_order=True)
 

@@ -63,7 +63,7 @@ class BatchProgress:
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds that the rest takes at this rate; None where nothing is done yet."""
+        """Seconds that the rest takes at this rate; None if nothing is done yet."""
         return (self.units - self.before - self.done) / self.rate if self.rate > 0 else None
 
 

@@ -10,8 +10,9 @@ every unit, and over a hundred units as strong evidence: what the parameters abs
 were flat.
 
 The noise of a channel is that known beforehand, drawn towards the scatter of its rows as far as it is not known well.
-Where the rows scatter more than that, it is what they say: a unit with a gross error must not outvote all others.  The
-scatter is what the likeliest effect leaves over, if one explains the rows of the unit: it would hide itself otherwise.
+If the rows scatter more than that, it is what they say: a unit with a gross error must not outvote all others.  The
+scatter is what the most probable effect leaves over, if one explains the rows of the unit: it would hide itself
+otherwise.
 
 Scores are computed for every fitted campaign from the estimates of the batch, a chunk of campaigns at a time, and kept
 beside its parts.  Each file appears as a whole or not at all, and a campaign that has scores is not computed again.
@@ -73,7 +74,7 @@ class CandidateKey:
 
     Attributes
     ----------
-    effect, shape : its name, and the values of its shape parameters as text; empty where it has none.
+    effect, shape : its name, and the values of its shape parameters as text; empty if it has none.
     scope : the kind of channel, or the channel, mounting or table that it acts on alone.
     part : the only parameter that it has; empty for all of them.
     """
@@ -114,7 +115,7 @@ def scores_of(problem: LinearProblem, unit: str, digest: str) -> pl.DataFrame:
 
 
 def _likeliest_noise(of: EvidenceOf) -> Hypothesis:
-    """Return the hypothesis that nothing is missing, at the likeliest scatter between runs that the model states."""
+    """Return the hypothesis that nothing is missing, at the most probable scatter between runs of the model."""
     found = Hypothesis((), of.stated)
     for place, unit in enumerate(of.units):
         if len(unit.stated) > 1:
@@ -244,7 +245,7 @@ _PREFIX, _SCORES, _CHUNK, _DIGITS = "scores-", "scores.parquet", 32, 16
 
 
 def read_unit_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
-    """Return the scores of a batch, schema `SCORES`; raises InputError where they are of another version."""
+    """Return the scores of a batch, schema `SCORES`; raises InputError if they are of another version."""
     folder = model_folder(results, chosen_model(results, model))
     tables = {part: pl.read_parquet(part / _SCORES) for part in whole_parts(folder, _PREFIX)}
     for file, table in tables.items():
@@ -269,7 +270,7 @@ class ScoresOfUnits:
 def complete_scores(
     results: str | Path, model: str | None = None, progress: Callable[[int, int], None] | None = None
 ) -> ScoresOfUnits:
-    """Return the scores of every fitted campaign; those that have none yet are computed, and kept where possible.
+    """Return the scores of every fitted campaign; those that have none yet are computed, and kept if possible.
 
     Parameters
     ----------
@@ -317,7 +318,7 @@ def refitted(spec: ModelSpec, campaign: Campaign, row: dict) -> Fit:
     Raises
     ------
     InputError
-        where the campaign is not the one that was fitted.
+        if the campaign is not the one that was fitted.
     """
     model = bound_to(spec, campaign)
     layouts = model.layout, model.hyper_layout

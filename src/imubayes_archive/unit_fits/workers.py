@@ -4,7 +4,7 @@ Dask workers are local processes, or those of a cluster whose scheduler is runni
 that started the batch writes: a worker that was given up and goes on cannot write a unit twice.  A few chunks for each
 worker are under way at a time.  Dask gives the chunk of a lost worker to another.  A chunk whose workers die again and
 again is divided, until the unit that kills them is alone.  Dask counts a death for every task that the worker held,
-whichever killed it: such a unit is tried again when nothing else is under way, and has failed where its workers die
+whichever killed it: such a unit is tried again when nothing else is under way, and has failed if its workers die
 then.
 """
 
@@ -60,7 +60,7 @@ def cluster_workers(address: str, fit: Callable[[ChunkTask], FittedChunk], timeo
     Raises
     ------
     InputError
-        where no scheduler answers.
+        if no scheduler answers.
     """
     try:
         client = distributed.Client(address, timeout=timeout)
@@ -116,7 +116,7 @@ def _wanted(client: "Client") -> int:
 
 
 def _fitted(future: "Future") -> "FittedChunk | KilledWorker":
-    """Return the result of a chunk, or what Dask says where its workers have died."""
+    """Return the result of a chunk, or what Dask says if its workers have died."""
     try:
         return future.result()
     except distributed.KilledWorker as error:
@@ -150,12 +150,12 @@ def scheduler_lost(what: str) -> InputError:
 
 @contextmanager
 def executor_of(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
-    """Give an executor on so many local workers or on those of a scheduler; in this process where neither is named.
+    """Give an executor on so many local workers or on those of a scheduler; in this process if neither is named.
 
     Raises
     ------
     InputError
-        where both are named, the number of workers is not positive, or Dask is not installed.
+        if both are named, the number of workers is not positive, or Dask is not installed.
     """
     if workers is None and scheduler is None:
         yield in_process

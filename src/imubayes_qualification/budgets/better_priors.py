@@ -1,4 +1,4 @@
-"""What better priors would leave of a variance, and the second-order part of a quantity.
+"""Variance that better priors would leave, and the second-order part of a quantity.
 
 The linear part of a quantity is that of `imubayes.results.linear_part`, whose symbols are used here.  The
 second-order part is ½ wᵀBw, B from the bend and from the curvature of the quantity itself.
@@ -9,8 +9,8 @@ A better prior shows what would be left of a variance, noise scales unknown.  It
 
     Var(q|h, x) = Var(q|h) − c²/(C_jj + r),    E[q|h, x] = E[q|h] + c (x − m_j)/(C_jj + r).
 
-The reading tells of the noise scales, too: p(h|x) ∝ p(h) N(x; m_j, C_jj + r).  It bounds a scatter between few runs,
-which is known from its prior more than from them, and that can matter more than what it says of θ_j.  Where x falls is
+The reading bears on the noise scales, too: p(h|x) ∝ p(h) N(x; m_j, C_jj + r).  It bounds a scatter between few runs,
+which is known from its prior more than from them, and that can matter more than what it says of θ_j.  If x falls is
 not known beforehand; it is taken at the mode.  The variance is the mean of the conditional variance plus the variance
 of the conditional mean, both over p(h|x), by importance weights on draws of h.
 """

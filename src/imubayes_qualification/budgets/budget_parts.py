@@ -14,8 +14,8 @@ other inputs too; what is then left follows from updates of C.
 
 The posterior variance itself is found by control variates (`imubayes.results.posterior_variance`).
 The slope of q on u, 1 if q is linear, holds what odd orders add to the linear part (statistical linearisation).
-What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
-and the length of a vector, say, bends otherwise than they do.
+The remainder is regressed on the second-order part likewise: that of a function of quantities is taken from its
+members, and the length of a vector, say, bends otherwise than they do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -107,7 +107,7 @@ def deviation_with_more_of_a_run(
 
 
 def degrees_of_freedom(variances: np.ndarray) -> np.ndarray:
-    """Return the degrees of freedom of variances from posterior draws of them, (H, …) → (…,); infinite where known.
+    """Return the degrees of freedom of variances from posterior draws of them, (H, …) → (…,); infinite if known.
 
     With ν degrees of freedom the posterior of 1/u² is proportional to χ²(ν), so that ν = 2 E[1/u²]²/Var[1/u²], which is
     GUM E.4.3 for the estimate of a variance.
@@ -191,7 +191,7 @@ class QuantityBudget(Record):
     standard_uncertainty, monte_carlo_error : root of the posterior variance, and its Monte Carlo standard error.
     lines : contributions, the largest first.
     contributed : root of the sum of all contributions.
-    scaled : factor on the contributions of the linear approximation where draws are wider or narrower than it; else 1.
+    scaled : factor on the contributions of the linear approximation if draws are wider or narrower than it; else 1.
     remainder : share of the posterior variance beyond them: higher orders and Monte Carlo error.
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
     interval : kind of the 95 % coverage interval.
@@ -255,7 +255,7 @@ class PosteriorVariances:
     ----------
     posterior, error : shapes (Q,), posterior variance, and its Monte Carlo standard error.
     slope : shape (Q,), of the quantity on its linear part.
-    widened : shape (Q,), standard deviation of the sampled linear part over that of the approximation where the two
+    widened : shape (Q,), standard deviation of the sampled linear part over that of the approximation if the two
         contradict each other but are alike; else 1.
     second_order : shape (Q,), variance of what the second-order part explains of the rest.
     """

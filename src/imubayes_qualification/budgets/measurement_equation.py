@@ -302,7 +302,7 @@ _SIMPLE = re.compile(r"[^\W\d_]′?(_\w+)?")
 
 @dataclass
 class _Symbols:
-    """Symbols of parameters: those of the standards where they are plain, θ_1, θ_2, … for the others."""
+    """Symbols of parameters: those of the standards if they are plain, θ_1, θ_2, … for the others."""
 
     known: dict[str, ModelSymbol] = field(default_factory=dict)
 

@@ -30,7 +30,7 @@ from imubayes_qualification.budgets.unit_under_test import TestedUnit, unit_unde
 from imubayes_qualification.evaluation.coverage import KnownUncertainty, coverage_factor, effective_degrees
 from imubayes_qualification.evaluation.decision_rules import LEAST_SHARE, USEFUL_RUN
 
-# Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
+# Changed if budgets of the same result come out otherwise, so that those that are kept are made anew.
 _METHOD = 15
 _MOST_HALVED = 3
 # Decimals of a correlation: two scale factors that share the error of gravity differ from 1 in the fifth.
@@ -58,7 +58,7 @@ class UnitWithBudgets:
 def unit_with_budgets(result: Result) -> UnitWithBudgets:
     """Return the unit of a result that converged, with the budgets of all its quantities.
 
-    Those that the result folder keeps are taken where they are of this result; others are kept there.
+    Those that the result folder keeps are taken if they are of this result; others are kept there.
     """
     kept = None if result.folder is None else _kept(result.folder)
     if kept is not None and kept.method == _METHOD:
@@ -80,9 +80,9 @@ def _known(unit: TestedUnit, found: budget_parts.QuantityBudget) -> KnownUncerta
 
 
 def keep_budgets(result: Result) -> None:
-    """Compute the budgets of a fit made in this process and keep them in its folder, where there is one.
+    """Compute the budgets of a fit made in this process and keep them in its folder, if there is one.
 
-    What a report needs of the model is compiled and linearised then; a later process would trace the model anew.
+    The programs that a report needs are compiled and linearised then; a later process would trace the model anew.
     """
     if result.converged and result.folder is not None:
         unit_with_budgets(result)
@@ -94,7 +94,7 @@ def _own_variance(found: budget_parts.QuantityBudget) -> float:
 
 
 def _kept(folder: Path) -> KeptBudgets | None:
-    """Return the budgets that a folder keeps of its fit; None where there are none as they were written."""
+    """Return the budgets that a folder keeps of its fit; None if there are none as they were written."""
     try:
         file = added(folder, BUDGETS)
         return KeptBudgets.model_validate_json(file.read_bytes()) if file is not None else None
@@ -151,7 +151,7 @@ class _Parts:
 
     Attributes
     ----------
-    widths : of the priors in their units, None where infinite.
+    widths : of the priors in their units, None if infinite.
     exact : what is included of the parameters that the model takes as exact.
     """
 
@@ -319,7 +319,7 @@ def _better_inputs(arrays: budget.BudgetArrays, place: int) -> Iterator[_Halved]
 
 
 def _next_runs(parts: _Parts) -> Iterator[budget_parts.NarrowingRun | None]:
-    """Return, for each quantity, the run that would narrow it most; None where no run would."""
+    """Return, for each quantity, the run that would narrow it most; None if no run would."""
     result, arrays = parts.result, parts.arrays
     count, runs = len(arrays.names), result.fit.model.campaign.runs
     before = np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)

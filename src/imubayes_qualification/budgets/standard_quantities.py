@@ -2,7 +2,7 @@ r"""The quantities of the standards: name, symbol and term of the model equation
 
 The standards are IEEE Std 952 (optical gyros) and IEEE Std 517 (their g-sensitive terms) for gyros, IEEE Std 1293 for
 accelerometers.  Each quantity is bound to the parameters behind it.  It is computed for every posterior draw, so that
-it has a posterior of its own.  Where a result lacks its parameters it is listed as not estimated, never as zero.
+it has a posterior of its own.  If a result lacks its parameters it is listed as not estimated, never as zero.
 
 Signs are those of the standards.  In IEEE Std 1293 the misalignment terms are δ_o a_p − δ_p a_o: δ_o is the angle of
 the input axis toward P, −δ_p that toward O.
@@ -10,7 +10,7 @@ the input axis toward P, −δ_p that toward O.
 D-SI is the digital unit format of the SmartCom project (doi:10.5281/zenodo.3522631).  A D-SI unit is a string of names
 that begin with a backslash: ``\degree\per\hour``, ``\metre\per\second\tothe{2}``.  The format has no unit for gravity
 and knows no parts per billion: such a unit is written in SI with a factor.  The output unit of a channel is free text,
-and has a D-SI form only where it is a count, a volt or an ampere.
+and has a D-SI form only if it is a count, a volt or an ampere.
 """
 
 import re
@@ -139,7 +139,7 @@ class UnitUnderTest:
     gravity: float
 
     def input_range(self, channel: str) -> tuple[float, float]:
-        """Return the lowest and the highest input of a channel, deg/s or g; zeros where it had none."""
+        """Return the lowest and the highest input of a channel, deg/s or g; zeros if it had none."""
         tested = self.inputs.get(channel, np.zeros(1))
         return float(tested[0]), float(tested[-1])
 
@@ -426,7 +426,7 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
 
 
 def standard_symbol(name: str) -> tuple[str, str]:
-    """Return symbol and label of a quantity: those of the standards where they know it, else its family."""
+    """Return symbol and label of a quantity: those of the standards if they know it, else its family."""
     parts = QuantityName.of(name)
     return _symbols().get(parts.family, parts.family), parts.label
 

@@ -1,15 +1,15 @@
-"""What a model takes as exact of site and equipment, and what that does to every quantity.
+"""Properties of site and equipment that a model takes as exact, and their effect on every quantity.
 
 The model lacks a parameter c of the equipment, such as the error of gravity: it takes it as zero.  It was not shown to
 be zero.  Its plausible size s is the standard uncertainty that the campaign states of it, else that of the catalogue's
-prior.  What the data tell of c bounds it further.  With J the whitened Jacobian of the model's own parameters in z, k
-the whitened response to c, C = (JᵀJ + diag w⁻²)⁻¹ and g the gradient of a quantity q, all linear about the mode,
+prior.  Information in the data on c bounds it further.  With J the whitened Jacobian of the model's own parameters in
+z, k the whitened response to c, C = (JᵀJ + diag w⁻²)⁻¹ and g the gradient of a quantity q, all linear about the mode,
 
     Var(c) = (s⁻² + kᵀk − kᵀJ C Jᵀk)⁻¹,    ∂q/∂c = gᵀ C Jᵀk,
 
 jointly for several such parameters: the change of the estimate that is due to c.  An estimate that is corrected for c
 changes by as much the other way, which is the sensitivity coefficient of a budget.  The variance (∂q/∂c)² Var(c) is
-what the estimate of q has beside its own.  It is *included* in every uncertainty of a report where the campaign itself
+what the estimate of q has beside its own.  It is *included* in every uncertainty of a report if the campaign itself
 says that the parameter is not exact: by a stated uncertainty, that of a clock or meter included, and by normal gravity,
 which nobody measured.  The others
 are listed with what they would do, and no unit passes on a quantity that all of them together could put beyond its
@@ -266,7 +266,7 @@ def with_included(
 
     Parameters
     ----------
-    told : shape (A,), bool, of the parameters that it may matter to; all where None.
+    told : shape (A,), bool, of the parameters that it may matter to; all if None.
     """
     own, matters = draws.std(axis=0), []
     for place, (each, shift) in enumerate(shifts):

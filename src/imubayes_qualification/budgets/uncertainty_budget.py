@@ -4,8 +4,8 @@ The inputs are independent: the data of each run (type A), and each parameter's 
 fixture, table, site, reference and the unit itself before the test (type B).  Their contributions at given noise scales
 add up exactly (`budgets.budget_parts`).  The noise scales have a posterior of their own, so
 contributions are averaged over it, and the variance of the conditional mean is a line by itself (total variance).
-What is not linear has a line of its own too, the variance of the second-order part; what the posterior variance
-(`budgets.budget_parts`) has beyond the sum of all these is the remainder.  Where draws are a bit
+The nonlinear part has a line of its own too, the variance of the second-order part; what the posterior variance
+(`budgets.budget_parts`) has beyond the sum of all these is the remainder.  If draws are a bit
 wider or narrower than the approximation, contributions are scaled to them, and the factor is stated.
 """
 
@@ -64,8 +64,8 @@ _DISTRIBUTIONS: dict[type[Prior], str] = {
 class Improvements:
     """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
 
-    What a better prior leaves is the share of `at_mode` that it leaves of the variance with the noise scales unknown
-    (`budgets.better_priors`).
+    The variance that a better prior leaves is the share of `at_mode` that it leaves of the variance with the noise
+    scales unknown (`budgets.better_priors`).
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class BudgetArrays:
     improved : standard deviations if one input were better.
     at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
         direction, and contributions are scaled to the posterior variance of the angle.
-    components : of each quantity: itself, or those of which it is the length where that is near zero.
+    components : of each quantity: itself, or those of which it is the length if that is near zero.
     """
 
     names: tuple[str, ...]
@@ -148,7 +148,7 @@ class FunctionOfQuantities:
     draws : shape (S,), NaN where it was not computed.
     members : the quantities that it is computed from.
     length : whether it is the length of the vector of its members, which near zero has no gradient.
-    slopes : its derivatives by the members; None where they are found by regression.
+    slopes : its derivatives by the members; None if they are found by regression.
     """
 
     draws: np.ndarray
@@ -194,7 +194,7 @@ def budget_of(
     Raises
     ------
     InputError
-        where the campaign or the draws are gone.
+        if the campaign or the draws are gone.
     """
     fit, quantities = result.fit, _draws(result, names)
     draws, slopes = _with_functions(quantities, functions or {})

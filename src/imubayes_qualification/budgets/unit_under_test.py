@@ -60,13 +60,13 @@ class TestedUnit(UnitUnderTest):
 
     Attributes
     ----------
-    temperatures : lowest and highest sensor temperature of the runs, °C; None where none was recorded.
+    temperatures : lowest and highest sensor temperature of the runs, °C; None if none was recorded.
     thermal : thermal terms of the model.
-    lengths : quantity → the length of its mean vector, where it is the length of one.
-    known : quantity → its uncertainty, where a budget gives it.
+    lengths : quantity → the length of its mean vector, if it is the length of one.
+    known : quantity → its uncertainty, if a budget gives it.
     added : quantity → standard deviation by what is included of equipment that the model takes as exact.
     unstated : quantity → standard deviation by equipment that the model takes as exact, in no uncertainty.
-    jointly : the same with its correlation: quantity → shape (r,), by r independent causes, where it depends on
+    jointly : the same with its correlation: quantity → shape (r,), by r independent causes, if it depends on
         temperature.
     floors : quantity → the smallest expanded uncertainty that may be stated of it.
     """
@@ -83,7 +83,7 @@ class TestedUnit(UnitUnderTest):
     floors: Mapping[str, float] = field(default_factory=dict)
 
     def with_floor(self, name: str, values: "RangeDraws") -> "RangeDraws":
-        """Return draws at T temperatures, widened where U would be below the floor of their quantity."""
+        """Return draws at T temperatures, widened if U would be below the floor of their quantity."""
         if (floor := self.floors.get(name)) is None:
             return values
         expanded = np.array([each.expanded for each in self.coverage_at(name, values)])
@@ -93,7 +93,7 @@ class TestedUnit(UnitUnderTest):
     def coverage_at(self, name: str, values: "RangeDraws") -> list[Coverage]:
         """Return what is stated of a quantity at T temperatures; what was added moves no estimate.
 
-        Where the temperature changes nothing, that is what is stated of it everywhere.
+        If the temperature changes nothing, that is what is stated of it everywhere.
         """
         effective, own = self.quantities.effective[name], self.quantities.marginal(name).draws
         return [
@@ -139,7 +139,7 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
     Raises
     ------
     InputError
-        where the fit did not converge.
+        if the fit did not converge.
     """
     exact = exact or TakenAsExact()
     quantities = with_combinations(widened(posterior_quantities(result), exact.included), result.summary.combinations)
@@ -210,12 +210,12 @@ def determined_share(members: Sequence[Quantity]) -> float | None:
 
 
 def is_measured(quantity: Quantity, draws: np.ndarray) -> bool:
-    """Tell whether the data determine a quantity: an exact one was never measured, nor one known from its prior."""
+    """Return whether the data determine a quantity: an exact one was never measured, nor one known from its prior."""
     share = quantity.from_data
     return not is_constant(draws[np.isfinite(draws)]) and (share is None or share >= WEAK_SHARE)
 
 
-# A run was made over the range where it came this near to an end; of longer records so many rows stand for all.
+# A run was made over the range if it came this near to an end; of longer records so many rows stand for all.
 _OVER_RANGE, _MOST_ROWS = 0.9, 500
 
 
@@ -250,7 +250,7 @@ def _tested(own: pl.DataFrame) -> np.ndarray:
 
 
 def _temperatures(result: Result) -> tuple[float, float] | None:
-    """Return the lowest and the highest sensor temperature of all rows, °C; None where none was recorded."""
+    """Return the lowest and the highest sensor temperature of all rows, °C; None if none was recorded."""
     table = result.residuals.table
     if "temperature_degC" not in table.columns:
         return None

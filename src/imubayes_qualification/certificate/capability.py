@@ -1,6 +1,6 @@
 """The calibration and measurement capability (CMC) of a laboratory: no expanded uncertainty is stated smaller.
 
-ILAC-P14:09/2020, 5.4.  Where U by the budget is smaller, the draws of the quantity are widened about their mean until
+ILAC-P14:09/2020, 5.4.  If U by the budget is smaller, the draws of the quantity are widened about their mean until
 U is the CMC, so that every table, decision, probability and covariance agrees with what is stated.  What the CMC is
 larger by is a line of the budget.  A quantity that a result has twice, as the scale factor beside its error, has one
 capability: that of one is that of the other, in its unit.

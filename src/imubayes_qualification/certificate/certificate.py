@@ -1,4 +1,4 @@
-"""The certificate block: what ISO/IEC 17025 asks of a calibration certificate and no measurement tells.
+"""The certificate block: what ISO/IEC 17025 asks of a calibration certificate and no measurement supplies.
 
 It stands as ``[certificate]`` in the specification, or in a file of its own::
 
@@ -73,7 +73,7 @@ _WORDS = re.compile(r"[^\W_]+")
 
 
 def is_placeholder(text: str) -> bool:
-    """Tell whether a text stands for a name or number that is still to be written: ``n/a``, ``TBD``, ``NMI-XXXX``."""
+    """Return whether a text stands for a name or number that is still to be written: ``n/a``, ``TBD``, ``NMI-XXXX``."""
     words = _WORDS.findall(text.casefold())
     whole = "".join(words)
     if not whole or whole in _NOTHING or not whole.strip("x") or not whole.strip("0"):
@@ -264,7 +264,7 @@ MissingItem = Literal[
     "issued_early",
     "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
-"""What a certificate lacks, or what in it contradicts the campaign.
+"""Omissions of a certificate, and its contradictions to the campaign.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
 standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
@@ -281,11 +281,11 @@ REQUIRED: frozenset[MissingItem] = frozenset({
     "method", "item_description", "serial", "received", "performed", "environment", "standards", "untraced",
     "normal_gravity", "signatories",
 })  # fmt: skip
-"""What ISO/IEC 17025:2017 requires of a certificate, 7.8.2.1 and 7.8.4.1."""
+"""Requirements of ISO/IEC 17025:2017 on a certificate, 7.8.2.1 and 7.8.4.1."""
 
 
 class Missing(Record):
-    """One thing that is missing, and of which standard where it is one's."""
+    """One thing that is missing, and of which standard if it is one's."""
 
     item: MissingItem
     of: str = ""
@@ -443,7 +443,7 @@ def _of_standards(
 
 
 def _of_dates(standard: MeasurementStandard, used: Sequence[Used], starts: Sequence[str]) -> Iterator[Missing]:
-    """Yield what the certificate of a standard lacks, or was not at the runs that used it; all where none is known."""
+    """Yield what the certificate of a standard lacks, or was not at the runs that used it; all if none is known."""
     times = [each for each in used if each.first] or [Used(starts[0], starts[-1])] if starts else []
     first = min(filter(None, (each.first for each in times)), key=instant, default=None)
     last = max(filter(None, (each.last for each in times)), key=instant, default=None)

@@ -1,10 +1,10 @@
 """Conformity of a unit: each limit of a specification held against the posterior of its quantity.
 
-A limit over a temperature range is met where the quantity is within it at every temperature; its conformance
+A limit over a temperature range is met if the quantity is within it at every temperature; its conformance
 probability is that of the smallest margin over the range, and its decision is the worst over the range.  Of a quantity
 that the data do not determine there is no decision: its posterior is its prior, which the unit was not asked about.
 
-The outcome is given for each limit and for the unit.  It is a statement about the unit only where the posterior is one:
+The outcome is given for each limit and for the unit.  It is a statement about the unit only if the posterior is one:
 a unit cannot pass on a model that the diagnosis found inadequate or has not seen, nor on intervals that the noise does
 not support.
 """
@@ -37,7 +37,7 @@ from imubayes_qualification.evaluation import decision_rules as rules
 from imubayes_qualification.evaluation.coverage import Coverage, coverage_of
 
 WORST_FIRST: tuple[rules.Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
-# Temperatures of a chamber are not those of its plan: a range is covered where runs came this close to its ends, °C.
+# Temperatures of a chamber are not those of its plan: a range is covered if runs came this close to its ends, °C.
 _NEAR = 2.0
 
 
@@ -64,9 +64,9 @@ class ConformityOfQuantity:
     temperature : that temperature, °C; None without a range or without dependence on it.
     conformance : p_c over the whole range.
     decision : outcome with the guard band.
-    consumer, producer : specific risks: of delivering a unit that does not conform where it is accepted, of rejecting
-        one that does where it is not; None where it does not apply or is withheld.
-    overall : global risks, where the production is known.
+    consumer, producer : specific risks: of delivering a unit that does not conform if it is accepted, of rejecting
+        one that does if it is not; None if it does not apply or is withheld.
+    overall : global risks, if the production is known.
     omitted_ratio : factor on U, at the temperature of `stated`, by what the model takes as exact and no U contains.
     """
 
@@ -128,7 +128,7 @@ def members_of(asked: str, entries: Mapping[str, Quantity]) -> list[str]:
     """Return the quantities of a name, or of a family.
 
     A sum of several quantities is of no family, though it begins with the name of one: it may hold errors of the
-    equipment, and has limits where it is named in full.
+    equipment, and has limits if it is named in full.
     """
     sums = {name for name, line in entries.items() if isinstance(line, CombinationSummary) and not line.standard}
     return [name for name in entries if asked == name or (asked == family_of(name) and name not in sums)]
@@ -196,7 +196,7 @@ def _ends(entry: LimitEntry, factor: float, shift: float) -> tuple[float, float]
 
 
 def _conversion(entry: LimitEntry, quantity: Quantity, where: str, gravity: float) -> tuple[float | None, float]:
-    """Return factor and shift from the unit of a limit to that of its quantity; no factor where it has no such unit."""
+    """Return factor and shift from the unit of a limit to that of its quantity; no factor if it has no such unit."""
     if entry.nominal is not None and entry.unit != quantity.unit and same_dimension(entry.unit, "1", where):
         return entry.nominal * to_si(entry.unit, gravity, where), entry.nominal
     shift = entry.nominal or 0.0
@@ -290,13 +290,13 @@ def _overall(
 
 
 def _without_pass(decision: rules.Decision, reason: rules.NoDecision) -> rules.Decision:
-    """Return a decision that is none where it would pass, for a reason."""
+    """Return a decision that is none if it would pass, for a reason."""
     accepted = decision.outcome in rules.ACCEPTED
     return replace(decision, outcome="withheld", withheld=reason) if accepted else decision
 
 
 def _passes_with_exact(limit: ResolvedLimit, values: np.ndarray, omitted: np.ndarray, effective: float) -> bool:
-    """Tell whether draws (S, T) would be accepted with what is taken as exact at its plausible size, (r, T)."""
+    """Return whether draws (S, T) would be accepted with what is taken as exact at its plausible size, (r, T)."""
     if not omitted.any():
         return True
     moved = values + np.random.default_rng(20260502).standard_normal((len(values), len(omitted))) @ omitted
@@ -322,7 +322,7 @@ def _rank(
 def _conformance_over(
     values: np.ndarray, tolerance: rules.ToleranceInterval, effective: float
 ) -> rules.ProbabilityByTwoMethods:
-    """Return p_c of a quantity over a range, (S, T): of the smallest margin; of the quantity where there is one T."""
+    """Return p_c of a quantity over a range, (S, T): of the smallest margin; of the quantity if there is one T."""
     if values.shape[1] == 1:
         return rules.conformance_probability(Marginal(values[:, 0], effective), tolerance)
     margin = np.minimum(values - tolerance.lower, tolerance.upper - values).min(axis=1)
@@ -350,7 +350,7 @@ class Assessment:
     ----------
     specification : its name.
     limits : outcome for each limit.
-    obstacles : why the unit cannot pass, whatever the limits say; empty where nothing stands against it.
+    obstacles : why the unit cannot pass, whatever the limits say; empty if nothing stands against it.
     """
 
     specification: str
@@ -359,7 +359,7 @@ class Assessment:
 
     @property
     def outcome(self) -> rules.Outcome:
-        """The worst outcome of all limits, and no better than `withheld` where there is an obstacle."""
+        """The worst outcome of all limits, and no better than `withheld` if there is an obstacle."""
         found = overall_outcome(self.limits)
         better = WORST_FIRST.index(found) > WORST_FIRST.index("withheld")
         return "withheld" if self.obstacles and better else found
@@ -378,8 +378,8 @@ def assess(
     ----------
     result : a fit of the unit, with its campaign in place.
     specification : the file.
-    diagnosis : of the result; None where it was not diagnosed, which a unit cannot pass with.
-    unit : the quantities of the result where they are known already.
+    diagnosis : of the result; None if it was not diagnosed, which a unit cannot pass with.
+    unit : the quantities of the result if they are known already.
     others : obstacles that are known already.
 
     Raises

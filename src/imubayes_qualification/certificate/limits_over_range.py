@@ -1,6 +1,6 @@
 """Quantities over a temperature range as limits see them: branches of warming and cooling, the next run, other causes.
 
-A bias at a temperature is not one number, where the model has more than polynomials.  Hysteresis h puts it anywhere
+A bias at a temperature is not one number, if the model has more than polynomials.  Hysteresis h puts it anywhere
 between the branches of warming and cooling, ± h; a lag of the time constant τ adds up to c·τ·|dT/dt|, no more than c
 times the range, and a term in dT/dt as much as that, at the fastest change of the runs.  Both branches have to be
 within a limit.  The next time that the unit is switched on it has another offset: normal with the scatter between runs,
@@ -23,7 +23,7 @@ def branches_over_range(
 ) -> np.ndarray:
     """Return what `over_range` does with hysteresis and lag, shape (S, B·T): B branches of T temperatures.
 
-    There is one branch where nothing depends on what was before; else that of cooling follows that of warming.
+    There is one branch if nothing depends on what was before; else that of cooling follows that of warming.
     """
     values = over_range(name, unit, draws, model, span)
     if not _is_bias(name):
@@ -71,7 +71,7 @@ def _is_bias(name: str) -> bool:
 
 
 def _parameter(name: str, effect: str, parameter: str, draws: Mapping[str, np.ndarray]) -> str | None:
-    """Return the name of an effect's parameter of the sensor and channel of a quantity, where the model has it."""
+    """Return the name of an effect's parameter of the sensor and channel of a quantity, if the model has it."""
     parts = QuantityName.of(name)
     sensor = parts.family.partition("_")[0]
     effect = effect if effect == _SCATTER else f"{sensor}_{effect}"

@@ -48,7 +48,7 @@ def next_calibrations(found: Repeatability, later: Result, limits: Path) -> tupl
 
 
 def next_due(found: ComparedQuantity, days: float, lower: float, upper: float) -> NextDue:
-    """Return when a quantity reaches a limit; `days` between both calibrations, infinite limits where there is none.
+    """Return when a quantity reaches a limit; `days` between both calibrations, infinite limits if there is none.
 
     The drift is taken as even from the first calibration on, so that the value t after the second is
     x₂ + (x₂ − x₁) t / D, with the uncertainty of both and what they have in common.

@@ -181,7 +181,7 @@ def report_of(
     ----------
     result : a result that has a folder, or the folder; its diagnosis and history are read from there.
     specification : file with limits; None for a report without conformity.
-    certificate : file with the certificate block; that of the specification where None.
+    certificate : file with the certificate block; that of the specification if None.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def report_of(
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
-    block, ledger = certificate_of(specification, certificate)  # a fault of a file is told before all that takes long
+    block, ledger = certificate_of(specification, certificate)  # before all that takes long
     evaluated, capability = _evaluated(found, block, ledger)
     unit = None if evaluated is None else evaluated.unit
     exact = TakenAsExact() if evaluated is None else evaluated.exact
@@ -240,7 +240,7 @@ def covariates_read(result: Result) -> tuple[str, ...]:
 def _evaluated(
     result: Result, block: Certificate | None, ledger: Ledger | None
 ) -> tuple[UnitWithBudgets | None, AppliedCapability]:
-    """Return the unit with budgets, no U below the capability (CMC); None where the fit did not converge."""
+    """Return the unit with budgets, no U below the capability (CMC); None if the fit did not converge."""
     evaluated = unit_with_budgets(result) if result.converged else None
     if evaluated is None or block is None or ledger is None:
         return evaluated, AppliedCapability()
@@ -248,7 +248,7 @@ def _evaluated(
 
 
 def _omitted(standards: Sequence[record.StandardEstimate], exact: TakenAsExact) -> Iterator[Missing]:
-    """Yield that known contributions are in no U, where this matters to what is certified."""
+    """Yield that known contributions are in no U, if this matters to what is certified."""
     ratios = (
         (each.symbol, max(exact.omitted_ratio(name, each.standard_uncertainty or 0.0) for name in (each.name, *own)))
         for each in standards
@@ -279,7 +279,7 @@ def certificate_of(
 
 
 def _tree(folder: Path) -> tuple[Tree, str] | None:
-    """Return the history with the place of a result in it; None where there is none."""
+    """Return the history with the place of a result in it; None if there is none."""
     return (read_tree([folder]), str(folder.resolve())) if checked(folder).holds(HISTORY) else None
 
 
@@ -361,7 +361,7 @@ def _history(tree: tuple[Tree, str] | None) -> tuple[record.ModelTried, ...]:
 def conformity_of(
     assessment: Assessment | None, specification: str | Path | None, gravity: float
 ) -> record.Conformity | None:
-    """Return the unit against its specification as a record; None where there is none."""
+    """Return the unit against its specification as a record; None if there is none."""
     if assessment is None or specification is None:
         return None
     return record.Conformity(
@@ -462,7 +462,7 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
 def pictures_of(
     result: Result, unit: TestedUnit | None, assessment: Assessment | None, angles: tuple[record.MountingAngle, ...]
 ) -> pictures.PictureData:
-    """Return what the pictures show; the residuals alone where the fit did not converge."""
+    """Return what the pictures show; the residuals alone if the fit did not converge."""
     table, campaign = result.residuals.table, result.fit.model.campaign
     covariates = {covariate.column: (covariate.phrase, covariate.unit) for covariate in shown()}
     worst = pictures.worst_residual(table.filter(pl.col("kind") != "closure"), campaign.channels, covariates)

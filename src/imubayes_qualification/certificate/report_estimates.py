@@ -224,7 +224,7 @@ def not_estimated(
 ) -> tuple[record.NotEstimated, ...]:
     """Return the quantities of the standards that the result does not measure, and what the diagnosis says of each.
 
-    None where the fit did not converge, which lacks all of them.
+    None if the fit did not converge, which lacks all of them.
     """
     if unit is None:
         return ()

@@ -1,4 +1,4 @@
-"""What the pictures of a report show, as numbers: errors with limits, residuals, mountings, priors and posteriors."""
+"""Numbers behind the pictures of a report: errors with limits, residuals, mountings, priors and posteriors."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Literal
@@ -250,7 +250,7 @@ def _curve(channel: str, x: np.ndarray, values: np.ndarray) -> ErrorCurve:
 
 
 def _bound(channel: str, x: np.ndarray, lower: float | np.ndarray, upper: float | np.ndarray) -> LimitCurve:
-    """Return limits that are constants or curves; None on a side where they are infinite."""
+    """Return limits that are constants or curves; None on a side if they are infinite."""
     below, above = (np.broadcast_to(end, x.shape) for end in (lower, upper))
     return LimitCurve(
         channel=channel,

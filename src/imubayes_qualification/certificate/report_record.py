@@ -40,7 +40,7 @@ class MonteCarloError(Record):
     effective : number of independent draws that carry as much information.
     digits : significant digits in which the uncertainties are stated; 0 if these errors leave none (JCGM 101, 7.9),
         so that the number is withheld.
-    tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit where the number is withheld.
+    tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit if the number is withheld.
     worst : quantity with the largest error.
     draws_needed : how many times the draws would leave one digit, about.
     """
@@ -142,7 +142,7 @@ class NotEstimated(NamedByStandard):
     Attributes
     ----------
     effects : that the model would need.
-    labels : channels that lack it; all of its kind where empty.
+    labels : channels that lack it; all of its kind if empty.
     reason : the model lacks the effects; the runs cannot show them; the runs lack what the definition needs; or the
         data do not determine it, so that only its prior is known.
     needs : covariates or conditions that the runs do not all supply.
@@ -182,7 +182,7 @@ class ReportedCombination(CombinedQuantities, ReportedEstimate):
 
     Attributes
     ----------
-    evidence : by procedure; empty if the campaign has one procedure, or where the combination is not linear.
+    evidence : by procedure; empty if the campaign has one procedure, or if the combination is not linear.
     procedures : of the campaign.
     """
 
@@ -225,10 +225,10 @@ class LimitOutcome(Record):
     estimate, standard_uncertainty, expanded_uncertainty, low, high, interval : at the worst temperature of the range; U
         is half the length of the 95 % coverage interval.
     temperature_range, temperature : of the limit, and where it is worst, °C.
-    symbol, label : of the standards where they have one, else the name of the quantity; and the channel.
+    symbol, label : of the standards if they have one, else the name of the quantity; and the channel.
     rule, guard_factor, guard_width, rule_probability : as applied.
     guard_band : width w; None for rules on probabilities.
-    consumer_risk, producer_risk : specific risks; global ones where the production is known.
+    consumer_risk, producer_risk : specific risks; global ones if the production is known.
     withheld : why there is no decision; None if there is one.
     monte_carlo : errors of the estimate; None if it is exact.
     omitted_ratio : factor by which the omitted contributions would multiply U.
@@ -494,6 +494,6 @@ class QualificationReport(Record):
 
     @property
     def accepted(self) -> bool:
-        """Whether the unit passed, or was not held against a specification; never where the fit did not converge."""
+        """Whether the unit passed, or was not held against a specification; never if the fit did not converge."""
         passed = "pass", "conditional_pass"
         return self.conformity.outcome in passed if self.conformity is not None else self.convergence.converged

@@ -1,4 +1,4 @@
-"""What a report is about, and what its numbers come from: unit, campaign, equipment, model, hashes, software."""
+"""Subject of a report and origin of its numbers: unit, campaign, equipment, model, hashes, software."""
 
 from imubayes.foundations.records import Record
 from imubayes.results.summary import SoftwareVersion

@@ -206,7 +206,7 @@ def _conformance_of_draws(
 ) -> rules.ProbabilityByTwoMethods:
     """Return p_c of a distribution that the draws define, withheld if their error spans the bound of the rule.
 
-    The equation may have any distribution: that a fitted one differs from it tells nothing of the draws.
+    The equation may have any distribution: that a fitted one differs from it shows nothing of the draws.
     """
     p = float(np.mean(tolerance.contains(marginal.draws)))
     error = rules.fraction_error(p, marginal.effective)

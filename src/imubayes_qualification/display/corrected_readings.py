@@ -1,4 +1,4 @@
-"""What was made of corrected readings: a recording in sentences, and the motion of the carrier of a rotating unit.
+"""Outcome of corrected readings: a recording in sentences, and the motion of the carrier of a rotating unit.
 
 The motion of the carrier is a table and a figure.
 """
@@ -50,7 +50,7 @@ def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> Ite
 
 
 def incomplete_lines(rows: int) -> list[str]:
-    """Return that rows have empty cells, as a line; none where all are complete."""
+    """Return that rows have empty cells, as a line; none if all are complete."""
     said = "without an output, a temperature or a number of samples; the cells are empty"
     return [f"note: {counted(rows, 'row')} {said}"] * bool(rows)
 
@@ -110,7 +110,7 @@ _ROUNDING = 1e-9
 
 
 def rotating_run(campaign: Campaign, name: str) -> Run:
-    """Return a run in which the unit rotates on a table; raises InputError where it is none."""
+    """Return a run in which the unit rotates on a table; raises InputError if it is none."""
     turning = [run for run in campaign.runs if run.table and run.mounting and np.any(run.covariates["table_rate"] != 0)]
     found = next((run for run in turning if run.name == name), None)
     if found is not None and np.isfinite(found.covariates["table_angle"]).all():
@@ -123,7 +123,7 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
 
 
 def carrier_table(found: CarrierEstimate, gravity: float, zero_angle: float = 0.0) -> pl.DataFrame:
-    """Return the motion of a carrier as a table in deg/s and g; with uncertainties where it is corrected.
+    """Return the motion of a carrier as a table in deg/s and g; with uncertainties if it is corrected.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def carrier_sheet(found: CarrierEstimate, campaign: Campaign, run: Run) -> Sheet
 
 
 def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
-    """Return the figure of the gyro bias vector under rotation; None where fewer than three gyros determine it."""
+    """Return the figure of the gyro bias vector under rotation; None if fewer than three gyros determine it."""
     motion = carrier(campaign, run)
     if not np.isfinite(motion.rate).all() or run.table is None:
         return None

@@ -1,4 +1,4 @@
-"""What `propagate`, `budget`, `conformity` and `selftest` found, as tables."""
+"""Results of `propagate`, `budget`, `conformity` and `selftest`, as tables."""
 
 import math
 import platform

@@ -1,7 +1,7 @@
-"""What is stated of a quantity: estimate y, standard uncertainty u, coverage interval, expanded uncertainty U = k u.
+"""The statement of a quantity: estimate y, standard uncertainty u, coverage interval, expanded uncertainty U = k u.
 
-The draws of a posterior give its quantiles with a Monte Carlo error, which U should not have where the posterior is
-known.  Where both ends of the interval of the draws agree, within their errors, with those of a normal posterior, or of
+The draws of a posterior give its quantiles with a Monte Carlo error, which U should not have if the posterior is
+known.  If both ends of the interval of the draws agree, within their errors, with those of a normal posterior, or of
 Student's t with the degrees of freedom ν of the scatter that its budget knows, the interval is y ± k u.
 
 No degrees of freedom belong to u.  In the GUM, s is an estimate from few readings, and t_p(ν) in U = t_p(ν) s accounts
@@ -11,8 +11,8 @@ A program that multiplies u by t_p(ν) counts it twice: with ν = 11 it makes U 
 given the ν′ for which t_p(ν′) = k.
 
 The length of a vector, as the angle between true and nominal axis, is not normal near zero: the mean of its draws is
-about u where the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
-5.3.4), and its components are stated beside it.  Where the mean vector is shorter than all of that interval, it is from
+about u if the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
+5.3.4), and its components are stated beside it.  If the mean vector is shorter than all of that interval, it is from
 zero to the length that is not exceeded with the probability.
 
 A bias in the next run has an offset that is normal with the scatter τ between runs, and τ is uncertain: the posterior
@@ -57,7 +57,7 @@ class Coverage:
     low, high : ends of the 95 % coverage interval.
     shape : kind of interval.
     errors : Monte Carlo errors of these numbers.
-    known : k where the interval is y ± k u with a k that is known; None for the ends of draws.
+    known : k if the interval is y ± k u with a k that is known; None for the ends of draws.
     """
 
     estimate: float
@@ -85,8 +85,8 @@ class Coverage:
 class KnownUncertainty:
     """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and k.
 
-    `factor` is that of the interval where the draws have its shape; None where they have another one.  `mean_error` is
-    the Monte Carlo error of the estimate where that is not u over the root of the draws.
+    `factor` is that of the interval if the draws have its shape; None if they have another one.  `mean_error` is
+    the Monte Carlo error of the estimate if that is not u over the root of the draws.
     """
 
     standard: float
@@ -98,7 +98,7 @@ class KnownUncertainty:
 def coverage_factor(degrees: float) -> float | None:
     """Return k of 95 % for a posterior of Student's t with ν degrees of freedom and known standard deviation.
 
-    None where there are so few that the standard deviation is no measure of the width.
+    None if there are so few that the standard deviation is no measure of the width.
     """
     if math.isinf(degrees):
         return NORMAL_FACTOR
@@ -116,9 +116,9 @@ def equivalent_degrees(factor: float) -> float:
 
 
 def effective_degrees(contributions: np.ndarray, degrees: np.ndarray, variance: float | None = None) -> float:
-    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are.
+    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite if all are.
 
-    `variance` is that of the sum where some of the parts, with infinite ν, are correlated.
+    `variance` is that of the sum if some of the parts, with infinite ν, are correlated.
     """
     whole = float(np.sum(contributions)) if variance is None else variance
     sum_of_squares = float(np.sum(contributions**2 / degrees))
@@ -131,7 +131,7 @@ def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Co
     Parameters
     ----------
     marginal : of the quantity.
-    known : its uncertainty where a budget gives it; that of the draws where None.
+    known : its uncertainty if a budget gives it; that of the draws if None.
     """
     errors, (low, high) = marginal.errors, marginal.interval
     known = known or KnownUncertainty(marginal.sd, errors.sd)

@@ -8,12 +8,12 @@ distribution of all units that are tested.
 
 JCGM 106 defines p_c as the posterior probability that the quantity is within its tolerance interval.  It is found by
 two methods that have to agree: the draws give it as a fraction with a Monte Carlo error; quadrature over the fitted
-marginal gives it again.  Where the two differ by more than the errors allow, the number is withheld: the reader gets
+marginal gives it again.  If the two differ by more than the errors allow, the number is withheld: the reader gets
 the reason instead.
 
 Global risks are shares of all units tested: those wrongly accepted and those wrongly rejected (JCGM 106, 9.5).  A unit
 drawn from the production has the value η ~ normal(μ, s), its measurement gives y ~ normal(η, u), and it is accepted
-where y is in the acceptance interval of the rule as it is applied: a conditional pass is delivered, and a bound on p_c
+if y is in the acceptance interval of the rule as it is applied: a conditional pass is delivered, and a bound on p_c
 is an interval of y.  The consumer's risk is the probability that a unit is accepted and does not conform, the
 producer's that it is rejected and conforms.  Each is found twice: by quadrature over η, with the probability of
 acceptance in closed form, and by simulated units.
@@ -116,7 +116,7 @@ class ProbabilityByTwoMethods:
     from_draws, from_quadrature : of the two methods.
     monte_carlo_error : Monte Carlo standard error of the first.
     allowed : largest difference between the two.
-    withheld : why no value is stated; None where one is.
+    withheld : why no value is stated; None if one is.
     """
 
     from_draws: float
@@ -127,14 +127,14 @@ class ProbabilityByTwoMethods:
 
     @property
     def value(self) -> float | None:
-        """The probability; None where it is withheld."""
+        """The probability; None if it is withheld."""
         return None if self.withheld is not None else self.from_draws
 
 
 def compared(
     from_draws: float, from_quadrature: float, error: float, effective: float = math.inf
 ) -> ProbabilityByTwoMethods:
-    """Return a probability found by two methods, withheld where they disagree or where draws are too few."""
+    """Return a probability found by two methods, withheld if they disagree or if draws are too few."""
     allowed = RISK_ERRORS * error + RISK_SHAPE
     withheld: Withheld | None = None
     if not abs(from_draws - from_quadrature) <= allowed:
@@ -202,7 +202,7 @@ class DecisionRule:
     ----------
     name : of the rule.
     guard_factor : width of the guard band in standard uncertainties; None for w = U.
-    guard_width : width of the guard band in the unit of the quantity; None where a factor gives it.
+    guard_width : width of the guard band in the unit of the quantity; None if a factor gives it.
     probability : least p_c, or largest risk.
     """
 
@@ -232,7 +232,7 @@ class Decision:
 
 
 def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval) -> Decision:
-    """Return the outcome of a rule for one quantity; `withheld` where it needs a probability that is withheld."""
+    """Return the outcome of a rule for one quantity; `withheld` if it needs a probability that is withheld."""
     least = least_conformance(rule)
     if least is not None:
         outcome = _by_probability(least, estimate.conformance.value)
@@ -246,7 +246,7 @@ def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInte
 def specific_risks(conformance: float | None, outcome: Outcome) -> tuple[float | None, float | None]:
     """Return the specific risks (JCGM 106, 3.3.13–14): consumer's of an accepted unit, producer's of a rejected one.
 
-    Each is None where it does not apply, and both where p_c is withheld.
+    Each is None if it does not apply, and both if p_c is withheld.
     """
     if conformance is None:
         return None, None
@@ -274,7 +274,7 @@ def _within(value: float, interval: ToleranceInterval) -> bool:
 def acceptance_interval(
     rule: DecisionRule, standard: float, tolerance: ToleranceInterval, decision: Decision
 ) -> ToleranceInterval | None:
-    """Return the estimates with which units are delivered, conditional passes among them; None where none is.
+    """Return the estimates with which units are delivered, conditional passes among them; None if none is.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def _guard_of_probability(least: float, standard: float, tolerance: ToleranceInt
 
 
 _NODES, _FAR, _CLIMB, _UNITS = 100, 9.0, 8.0, 400_000
-# Widest guard band that is tried: in standard uncertainties, where no unit beyond a limit is accepted, and as a share
+# Widest guard band that is tried: in standard uncertainties, if no unit beyond a limit is accepted, and as a share
 # of half the tolerance, which leaves nothing to accept.
 _WIDEST, _MOST = 8.0, 0.999
 
@@ -349,7 +349,7 @@ def global_risks(
     production : of the units tested.
     standard : standard uncertainty u of a measurement.
     tolerance : limits of the quantity.
-    accepted : estimates with which units are delivered (`acceptance_interval`); None where none is.
+    accepted : estimates with which units are delivered (`acceptance_interval`); None if none is.
     seed : of the simulated units.
     """
     accepted = accepted or ToleranceInterval(math.inf, math.inf)
@@ -398,7 +398,7 @@ def _by_quadrature(
 def guard_for_risk(
     production: Production, standard: float, tolerance: ToleranceInterval, target: float
 ) -> float | None:
-    """Return the narrowest guard band whose global consumer's risk is at most the target; None where none is.
+    """Return the narrowest guard band whose global consumer's risk is at most the target; None if none is.
 
     A negative guard band, which accepts beyond the limits, is not considered.
     """

@@ -25,12 +25,12 @@ _LEAST_LOG_DENSITY = -1e3
 
 @dataclass(frozen=True)
 class FittedMarginal:
-    """A sinh-arcsinh normal distribution of a quantity x, or of log|x| where x has one sign.
+    """A sinh-arcsinh normal distribution of a quantity x, or of log|x| if x has one sign.
 
     Attributes
     ----------
     location, scale, skewness, tail : ξ, η > 0, ε and δ > 0.
-    sign : 0 where x itself has the distribution; ±1 where log(±x) has it.
+    sign : 0 if x itself has the distribution; ±1 where log(±x) has it.
     """
 
     location: float
@@ -74,7 +74,7 @@ class FittedMarginal:
 
 
 def fitted_to(draws: np.ndarray) -> FittedMarginal:
-    """Return the marginal of maximum likelihood of draws: of the quantity or, where likelier, of its logarithm.
+    """Return the marginal of maximum likelihood of draws: of the quantity or, if likelier, of its logarithm.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ class InputQuantity:
         cls, name: str, value: float, uncertainty: float, degrees_of_freedom: float = math.inf,
         type: EvaluationType = "B",
     ) -> "InputQuantity":  # fmt: skip
-        """Return an input of estimate and standard uncertainty; Student's t where its degrees of freedom are finite.
+        """Return an input of estimate and standard uncertainty; Student's t if its degrees of freedom are finite.
 
         Raises
         ------

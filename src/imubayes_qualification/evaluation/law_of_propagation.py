@@ -319,7 +319,7 @@ def _directions(covariance: np.ndarray) -> np.ndarray:
 def _steps(about: np.ndarray, changes: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the steps of the differences in units of the changes (M, N), shape (M,).
 
-    They are wider where rounding of the inputs, as the weights (N,) take it into the output, would be seen in them: in
+    They are wider if rounding of the inputs, as the weights (N,) take it into the output, would be seen in them: in
     third derivatives below 1e-5, in slopes below 1e-3.
     """
     rounding = np.max(np.where(changes != 0, np.finfo(float).eps * np.abs(about * weights), 0.0), axis=1)

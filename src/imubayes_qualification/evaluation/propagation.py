@@ -258,7 +258,7 @@ def _by_parts_of_draws(equation: law.BoundEquation, fewest: int, size: int, tail
 
 
 def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
-    """Tell whether twice the errors of the averages over blocks, (h, 4, K), are below the tolerance of each output."""
+    """Return whether twice the errors of averages over blocks, (h, 4, K), are below the tolerance of each output."""
     error = 2 * blocks.std(axis=0, ddof=1) / math.sqrt(len(blocks))
     return all(
         not u > 0 or bool((own <= numerical_tolerance(float(u), digits)).all())

@@ -19,8 +19,8 @@ class DeservedDigits:
 
     Attributes
     ----------
-    digits : 2, 1, or 0 where the number is withheld.
-    tolerance : δ of those digits; of one digit where the number is withheld.
+    digits : 2, 1, or 0 if the number is withheld.
+    tolerance : δ of those digits; of one digit if the number is withheld.
     error : twice the largest Monte Carlo error.
     worst : the statistic that has it.
     """
@@ -32,10 +32,10 @@ class DeservedDigits:
 
 
 def digits_stated(errors: MonteCarloErrors, uncertainty: float, expanded: float) -> Literal[0, 1, 2]:
-    """Return the significant digits in which u and U are stated: two (GUM 7.2.6) where the draws support these.
+    """Return the significant digits in which u and U are stated: two (GUM 7.2.6) if the draws support these.
 
-    Rounding to one digit may change u by half.  So one stands only where twice the Monte Carlo error of estimate or u
-    is more than rounding may change u by, or that of an end of the interval U.  None where JCGM 101 grants none.
+    Rounding to one digit may change u by half.  So one stands only if twice the Monte Carlo error of estimate or u
+    is more than rounding may change u by, or that of an end of the interval U.  None if JCGM 101 grants none.
     """
     near = 2 * max(errors.mean, errors.sd) <= _ROUNDING_SHARE * uncertainty
     two = near and 2 * max(errors.low, errors.high) <= _ROUNDING_SHARE * expanded

@@ -70,7 +70,7 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
     Raises
     ------
     InputError
-        where the fit did not converge, or neither gyros nor accelerometers span three axes.
+        if the fit did not converge, or neither gyros nor accelerometers span three axes.
     """
     posterior = sensor_posterior(result)
     channels = posterior.campaign.channels
@@ -173,7 +173,7 @@ def _triad(
 
 
 def _sensitivity(kind: str, found: np.ndarray, like: _Triad | None) -> _Block | None:
-    """Return A, None where the model has no g-sensitivity."""
+    """Return A, None if the model has no g-sensitivity."""
     absent = not np.abs(found).any() if like is None else like.g_sensitivity is None
     if kind != "gyro" or absent:
         return None
@@ -291,7 +291,7 @@ def _checked(
 def _sample(
     records: dict[str, onboard.TriadConstants], posterior: SensorPosterior, ranges: dict[str, tuple[float, float]]
 ) -> onboard.WorkedSample:
-    """Return a sample taken through the constants, ten degrees from T_ref where the model depends on temperature."""
+    """Return a sample taken through the constants, ten degrees from T_ref if the model depends on temperature."""
     temperatures = [
         float(np.clip(REFERENCE_TEMPERATURE + 10, *ranges[name])) if name in ranges else REFERENCE_TEMPERATURE
         for name in TEMPERATURES

@@ -7,7 +7,7 @@ effects that are left in, for want of what they depend on: it is taken as the sa
 The *random* one comes from the noise of the row and averages over rows.
 
 The noise of one reading is that of a fit, in two parts: what differs from row to row, and what a whole recording
-shares.  `white_noise.sigma` is judged by the scatter of the fitted rows, which are means of m samples.  Where the
+shares.  `white_noise.sigma` is judged by the scatter of the fitted rows, which are means of m samples.  If the
 scatter s of single samples was recorded within these rows, a mean of n samples has the variance s²/n + max(σ² − s²,
 0)/m: that of the fit at n = m, and that of the samples at n = 1.
 """
@@ -131,7 +131,7 @@ def _values(effect: BoundEffect, channel: Channel, means: dict[str, float]) -> d
 
 
 _ROWS_AT_ONCE = 2048
-# A row is solved where the last step is below this share of the largest component.
+# A row is solved if the last step is below this share of the largest component.
 _CONVERGED = 1e-9
 BEYOND = 1.1
 """Vibration and noise exceed the largest mean of a row by a part of it."""
@@ -188,7 +188,7 @@ class Correction:
         Parameters
         ----------
         batch : rows, with a column for every channel.
-        stated : temperature → value for all rows, where no column gives it, °C.
+        stated : temperature → value for all rows, if no column gives it, °C.
         tally : is updated.
         """
         outputs = np.stack([batch.numbers[channel.name] for channel in self.channels], axis=1)
@@ -315,7 +315,7 @@ def not_given(temperature: str, where: str) -> Issue:
 
 
 def check_stated(temperatures: Mapping[str, float]) -> None:
-    """Raise InputError where a temperature that is stated for all rows is none."""
+    """Raise InputError if a temperature that is stated for all rows is none."""
     refuse(
         Issue(f"a temperature of {value:g} degC", f"--{name.replace('_', '-')}", "a number above -273.15", "correct it")
         for name, value in temperatures.items()
@@ -334,7 +334,7 @@ def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correc
     Raises
     ------
     InputError
-        where the fit did not converge, or the recording lacks channels for all three axes.
+        if the fit did not converge, or the recording lacks channels for all three axes.
     """
     posterior = response.sensor_posterior(result)
     kinds = response.complete_kinds(posterior.campaign.channels, header)

@@ -3,11 +3,11 @@
 The fit predicts the outputs of the real unit, in its real mounting on the real table.  The outputs of an ideal unit at
 the nominal stimulus, plus what the fit does not predict, are the corrected outputs: bias, scale factor and input axes
 times the rate, temperature and every other fitted effect are removed by what they make of the outputs, whichever of
-them the runs can tell apart.  Motion of the carrier beyond the nominal stimulus stays in, uncorrected to first order.
+them the runs can distinguish.  Motion of the carrier beyond the nominal stimulus stays in, uncorrected to first order.
 
-The motion of the carrier is told as recorded, or corrected.  Errors that are constant in the unit, of the calibration
-or of a run, stay along the axis of rotation; across it they rotate, and of their mean over a run only the part remains
-that an unfinished turn leaves.
+The motion of the carrier is reported as recorded, or corrected.  Errors that are constant in the unit, of the
+calibration or of a run, stay along the axis of rotation; across it they rotate, and of their mean over a run only the
+part remains that an unfinished turn leaves.
 """
 
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ def corrected_run(campaign: Campaign, run: Run, residuals: Residuals, summary: S
     Raises
     ------
     InputError
-        where the fit did not use the run.
+        if the fit did not use the run.
     """
     own = residuals.table.filter(pl.col("run") == run.name)
     if own.is_empty():

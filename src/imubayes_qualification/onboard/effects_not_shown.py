@@ -1,9 +1,9 @@
 """Errors of the inputs in a mission by effects that the runs of a fit could not show.
 
 A coefficient of the largest typical size, or of the largest that the data leave open, changes the output of its
-channel, by the formula of the effect at the rate and specific force of the mission.  Where the runs respond to it, the
+channel, by the formula of the effect at the rate and specific force of the mission.  If the runs respond to it, the
 parameters of the fit take up a part: by the linear shift Δz of `taken_as_exact`, so that z − Δz and the effect describe
-the unit.  What the constants leave in is the sum of both.  An effect is propagated where it is linear in its
+the unit.  The constants leave in the sum of both.  An effect is propagated if it is linear in its
 coefficients and acts by rate, specific force and a stated temperature alone; the others are named.
 """
 
@@ -55,7 +55,7 @@ def effects_not_shown(
 
     Parameters
     ----------
-    temperature : of sensors and converter, °C; effects that depend on it are not propagated where None.
+    temperature : of sensors and converter, °C; effects that depend on it are not propagated if None.
     """
     registry = result.fit.model.registry
     members = [registry.find(name, "diagnosis") for name in dict.fromkeys(e.effect for e in diagnosis.undetectable)]

@@ -83,9 +83,9 @@ def inputs_along_axes(
     ----------
     result : a fit of the unit that converged.
     readings : a column per channel in output units; `converter_temperature_degC` and `temperature_degC` if the model
-        depends on them; `samples` where rows are means.
+        depends on them; `samples` if rows are means.
     where : place of the readings, for errors.
-    temperatures : temperature → value for all rows, where no column gives it, °C.
+    temperatures : temperature → value for all rows, if no column gives it, °C.
     nothing_across : whether there was no input across the axes; else there may have been one within the range of the
         runs that were fitted.
 
@@ -132,7 +132,7 @@ def inputs_along_axes(
 
 
 def effects_left_in(result: Result, channels: Sequence[Channel], nothing_across: bool) -> tuple[UnexpressedEffect, ...]:
-    """Return the effects on channels that their own inputs do not tell."""
+    """Return the effects on channels that their own inputs do not determine."""
     posterior = sensor_posterior(result)
 
     def known(everything: Acting) -> Acting:
@@ -186,7 +186,7 @@ def read_readings(file: Path) -> pl.DataFrame:
 
 
 def _numbers(readings: pl.DataFrame, name: str, otherwise: float) -> np.ndarray:
-    """Return a column as numbers, shape (R,); a constant where it is not given."""
+    """Return a column as numbers, shape (R,); a constant if it is not given."""
     given = name in readings.columns
     return readings[name].cast(pl.Float64).to_numpy() if given else np.full(readings.height, otherwise)
 

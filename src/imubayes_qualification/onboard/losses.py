@@ -1,6 +1,6 @@
-"""What a format for constants on board cannot hold, with the errors; and noise densities.
+"""Effects that a format for constants on board cannot hold, with their errors; and noise densities.
 
-A loss is *significant* where the error of leaving it out is larger than its expanded uncertainty, k = 2 (GUM § 6.2):
+A loss is *significant* if the error of leaving it out is larger than its expanded uncertainty, k = 2 (GUM § 6.2):
 then the constants are not those of the fit, and the format is refused unless the loss is accepted.  A smaller one is
 within what is known of it.
 
@@ -33,7 +33,7 @@ def read_noise(file: Path) -> StaticNoise:
     Raises
     ------
     InputError
-        where the file is missing or no such record.
+        if the file is missing or no such record.
     """
     file = file / "noise.json" if file.is_dir() else file
     try:
@@ -45,7 +45,7 @@ def read_noise(file: Path) -> StaticNoise:
 
 
 def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> None:
-    """Raise InputError where a noise record is of another unit, or where nothing tells whether it is of this one."""
+    """Raise InputError if a noise record is of another unit, or if nothing shows whether it is of this one."""
     if noise.serial == campaign.serial and (noise.serial or noise.campaign == campaign.name):
         return
     of = f"unit {noise.serial}" if noise.serial else f"campaign {noise.campaign}, which states no serial number"
@@ -57,7 +57,7 @@ def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> Non
 
 
 def of_fit(result: Result, constants: OnboardConstants, rate: float | None) -> dict[str, NoiseDensity]:
-    """Return the noise that a fit knows: white noise of one sample at a rate in Hz, a random walk where it has one."""
+    """Return the noise that a fit knows: white noise of one sample at a rate in Hz, a random walk if it has one."""
     walks = {
         QuantityName.of(line.name).label: line.mean
         for line in result.summary.parameters
@@ -90,7 +90,7 @@ class Abilities:
     ----------
     matrix, g_sensitivity, gain_temperature : whether M, A and κ(T) are held.
     scale : kinds of channels of which the diagonal of M is held.
-    bias_order : highest power of sensor temperature in b(T); None where there is no limit.
+    bias_order : highest power of sensor temperature in b(T); None if there is no limit.
     converter : whether polynomials may depend on the converter's temperature.
     """
 
@@ -112,7 +112,7 @@ class Loss:
     triad : kind of channels.
     size, sd : largest error within the ranges of the campaign and its standard uncertainty, m/s² or rad/s.
     unit : of the two.
-    effect : name of the effect, where it is one.
+    effect : name of the effect, if it is one.
     """
 
     kind: LossKind
@@ -148,7 +148,7 @@ def losses(constants: OnboardConstants, able: Abilities) -> tuple[Loss, ...]:
 
 
 def along_axes(triad: TriadConstants) -> bool:
-    """Tell whether there are three channels and each lies along its own body axis, x, y and z in this order."""
+    """Return whether there are three channels and each lies along its own body axis, x, y and z in this order."""
     matrix = np.array(triad.matrix)
     return matrix.shape == (3, 3) and bool((np.diag(matrix) > _ALONG * np.abs(matrix).sum(axis=1)).all())
 

@@ -1,4 +1,4 @@
-"""What the uncertainty of constants on board amounts to in navigation: position, velocity, attitude of a mission.
+"""Effect of the uncertainty of constants on board on navigation: position, velocity, attitude of a mission.
 
 The error of a corrected input is linear in the constants about their means: with s the corrected channels before the
 matrix, u = M s − A f gives δu = δM s − M s δκ − M δb − δA f.  It drives the strapdown error equations in the ψ-angle
@@ -306,7 +306,7 @@ class HiddenEffect:
 
     Attributes
     ----------
-    size, unit : largest size of its coefficients, of the first where they differ.
+    size, unit : largest size of its coefficients, of the first if they differ.
     error : shape (T, 6, n), of rate and specific force, body axes, by each of its coefficients at that size.
     """
 

@@ -1,7 +1,7 @@
 """Constants to use on board, as a record: the JSON of `imubayes export --format json`, and its conventions.
 
-The conventions of the constants (sign, order, frame and unit) stand in one table.  What the constants do to a sample is
-computed here, and what kalibr's model makes of them.
+The conventions of the constants (sign, order, frame and unit) stand in one table.  The correction of a sample by the
+constants is computed here, and what kalibr's model makes of them.
 
 kalibr's `scale-misalignment` model goes from the truth to the reading, r_a = M_a f + b_a and r_g = M_g C ω + A C f +
 b_g in the frame i of its IMU, with M_a and M_g lower triangular and C = C_gyro_i a rotation
@@ -61,7 +61,7 @@ class UnexpressedEffect(Record):
     ----------
     effect, channels, formula : as in the catalogue.
     cause : ``nonlinear`` in the input, with ``memory``, a ``limit``, or of a ``covariate`` that is not known.
-    size, sd : largest error within the range of the campaign where it is left out, and its standard uncertainty, in
+    size, sd : largest error within the range of the campaign if it is left out, and its standard uncertainty, in
         m/s² or rad/s; None if only the parameters are known.
     parameters : with which it can be computed.
     """
@@ -90,7 +90,7 @@ class TriadConstants(Record):
     output_units, nominal_scale, nominal_offset : r = (output − offset)/scale, in rad/s or m/s².
     matrix : M, shape (3, C).
     bias : b(T), rad/s or m/s².
-    gain : κ(T) − 1; no terms where the gain does not depend on temperature.
+    gain : κ(T) − 1; no terms if the gain does not depend on temperature.
     g_sensitivity : A, shape (3, 3), rad/s per m/s²; None if the model has none.
     input_range : largest magnitude of input in the campaign, rad/s or m/s².
     error_left : largest error of these constants against the model over that range, with all that is not expressed.

@@ -31,7 +31,7 @@ class UnitRecording:
     Attributes
     ----------
     source : its rows.
-    stated : temperature → value for all rows, where no column gives it, °C.
+    stated : temperature → value for all rows, if no column gives it, °C.
     """
 
     source: run_tables.TableSource
@@ -87,7 +87,7 @@ def open_recording(
     ----------
     path : the table, or the folder of the campaign.
     channels : of the unit that was fitted.
-    run : name of the run; not needed where the campaign has a single one.
+    run : name of the run; not needed if the campaign has a single one.
     stated : temperature → value for all rows, °C; a column takes precedence.
 
     Raises

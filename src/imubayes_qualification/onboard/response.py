@@ -86,7 +86,7 @@ def complete_kinds(channels: Sequence[Channel], columns: Collection[str]) -> tup
 
 
 def spans(channels: Sequence[Channel]) -> bool:
-    """Tell whether the input axes of channels span three dimensions, to a thousandth."""
+    """Return whether the input axes of channels span three dimensions, to a thousandth."""
     axes = np.array([channel.axes[0] for channel in channels]).reshape(-1, 3)
     return bool(np.linalg.matrix_rank(axes, tol=1e-3) == 3)
 
@@ -108,7 +108,7 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     Raises
     ------
     InputError
-        where the fit did not converge, so that there are no draws.
+        if the fit did not converge, so that there are no draws.
     """
     if not result.converged:
         where = str(result.folder) if result.folder is not None else "this fit"
@@ -132,7 +132,7 @@ def sensor_posterior(result: Result) -> SensorPosterior:
 
 
 def prior_values(result: Result, posterior: SensorPosterior) -> np.ndarray | None:
-    """Return all values at draws of the prior, shape (S', V); None where the result has none."""
+    """Return all values at draws of the prior, shape (S', V); None if the result has none."""
     tree = result.posterior
     if "prior" not in tree.children or not posterior.names:
         return None
@@ -148,7 +148,7 @@ def prior_values(result: Result, posterior: SensorPosterior) -> np.ndarray | Non
 _MOST_DEGREE = 5
 NEGLIGIBLE = 1e-10
 """Of 1 m/s² or rad/s, or of a gain, over the calibrated range: rounding, below which nothing is a term or a loss."""
-# Half the width of the range where all data are of one temperature, °C.
+# Half the width of the range if all data are of one temperature, °C.
 _NARROW = 10.0
 _DRAWS_AT_ONCE = 500
 

@@ -1,10 +1,10 @@
 """Effects of a model that a correction does not take out, each with the size of the error of leaving it in.
 
-An effect is switched off where all that acts on the unit is known, and again where only that is known which the
+An effect is switched off if all that acts on the unit is known, and again if only that is known which the
 correction uses: what the two changes differ by is left in.  Constants on board use what is affine in rate and specific
-force; a recording is corrected by the inputs of the channels that it has and by temperatures.  What acts is drawn from
-the range of the campaign, with directions of its own.  An effect that needs more than the instant (memory, a limit,
-a value of its own for each run) is sized by what it contributes to the rows of the campaign.
+force; a recording is corrected by the inputs of the channels that it has and by temperatures.  The inputs are drawn
+from the range of the campaign, with directions of its own.  An effect that needs more than the instant (memory, a
+limit, a value of its own for each run) is sized by what it contributes to the rows of the campaign.
 """
 
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ _Change = Callable[[Acting, dict[str, np.ndarray]], dict[str, np.ndarray]]
 
 
 def acts_linearly(effect: BoundEffect) -> bool:
-    """Tell whether an effect of the unit acts by inputs and temperatures alone, without memory or limit."""
+    """Return whether an effect of the unit acts by inputs and temperatures alone, without memory or limit."""
     return _of_the_unit(effect) and _is_lasting(effect) and set(effect.effect_class.needs) <= set(TEMPERATURES)
 
 
@@ -143,7 +143,7 @@ def _at(temperatures: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def acting_in_body(posterior: SensorPosterior, stimuli: np.ndarray) -> Acting:
-    """Return what acts on all channels where rate and specific force of the unit (n, 6) are all that is known."""
+    """Return what acts on all channels if rate and specific force of the unit (n, 6) are all that is known."""
     return {
         kind: acting_on(
             *(np.repeat(each[:, None], len(known.scale), axis=1) for each in (stimuli[:, :3], stimuli[:, 3:]))
@@ -210,9 +210,9 @@ def uncorrected_effects(
 
     Parameters
     ----------
-    known : what a row tells of all that acts on the unit.
+    known : what a row records of all that acts on the unit.
     spans : kinds of channels that are corrected and others that may act → range of inputs.
-    ranges : of the temperatures that rows tell.
+    ranges : of the temperatures that rows record.
     """
     acting = _everything(result, posterior, spans)
     ambient = _conditions(result, ranges, len(probe_inputs(spans)))
@@ -228,7 +228,7 @@ def _left_by(
     taken_out: Callable[[_Change], dict[str, np.ndarray]], cause: Callable[[BoundEffect, _Change], Cause],
     spans: dict[str, float],
 ) -> tuple[UnexpressedEffect, ...]:  # fmt: skip
-    """Return what a correction leaves of each effect, where it takes out a part of the change that the effect makes."""
+    """Return what a correction leaves of each effect, if it takes out a part of the change that the effect makes."""
     model, found = result.fit.model, []
     chosen = posterior.draws[np.linspace(0, len(posterior.draws) - 1, min(_DRAWS, len(posterior.draws))).astype(int)]
     values = np.stack([posterior.values, *(posterior.at(draw) for draw in chosen)])

@@ -19,7 +19,7 @@ from imubayes_recordings.convert.mapping_file import MAPPING_FILE
 
 @dataclass(frozen=True)
 class Options(ConvertOptions):
-    """The options of a conversion on the command line, where `--column` takes the place of `columns`."""
+    """The options of a conversion on the command line, if `--column` takes the place of `columns`."""
 
     columns: Annotated[Mapping[str, str | int], Parameter(parse=False)] = field(default_factory=dict)
 

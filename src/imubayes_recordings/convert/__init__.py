@@ -2,7 +2,7 @@
 
 `formats` opens a file by its content; `column_choice` finds the channels by name; `clock` and `unit_evidence` say what
 times and units are and how that is known; `recorded_runs` makes runs of the tables, `campaign_document` the campaign.
-What a recording does not state, and its numbers do not say, the options do.  A campaign folder is written to a
+Options state the facts that neither the recording nor its numbers give.  A campaign folder is written to a
 temporary folder, which is renamed at the end.
 """
 
@@ -62,7 +62,7 @@ def read_recordings(
     Parameters
     ----------
     files, mapping, options : as of `convert`.
-    name : of the campaign, where the options do not give it.
+    name : of the campaign, if the options do not give it.
 
     Raises
     ------

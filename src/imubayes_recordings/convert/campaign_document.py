@@ -36,7 +36,7 @@ from imubayes_recordings.convert.unit_evidence import Units, find_units
 DEFAULT_LATITUDE = 45.0
 # Without a site: the rounded value assumed by bench calibration tools and their published results.
 DEFAULT_GRAVITY = 9.81  # m/s²
-_LEAST_PARTS = 5.0  # ppm of the scale factors that are told
+_LEAST_PARTS = 5.0  # ppm of the scale factors that are reported
 _WARMED = 10.0  # degC over which a rest is a temperature test
 _STATIC, _RAMP = "static_record", "thermal_ramp"
 _AT_REST = (_STATIC, _RAMP)
@@ -67,7 +67,7 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     Raises
     ------
     InputError
-        where a unit or the nominal scale of counts is neither stated nor told by the numbers.
+        if a unit or the nominal scale of counts is neither stated nor determined by the numbers.
     """
     site_notes: list[str] = []
     site = _site(options, site_notes)
@@ -108,7 +108,7 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
 def _turns(
     runs: Sequence[RecordedRun], channels: Sequence[Mapping[str, Any]], options: ConvertOptions, source: str
 ) -> list[StatedTurns]:
-    """Return the turns of each recording through the stated angle; nothing where none is stated."""
+    """Return the turns of each recording through the stated angle; nothing if none is stated."""
     if options.turn_deg is None:
         return []
     gyros, found = [each for each in channels if each["kind"] == "gyro"], []
@@ -159,7 +159,7 @@ def _add_turns(
 
 
 def _stand(procedure: str, runs: Sequence[RecordedRun], channels: Sequence[Mapping[str, Any]]) -> Stand:
-    """Return table and mountings where a procedure has them, and what is assumed of them."""
+    """Return table and mountings if a procedure has them, and what is assumed of them."""
     if procedure == _ON_TABLE:
         return on_table(runs, [np.degrees(_rates(run, channels)) for run in runs])
     if procedure_named(procedure).needs_table or procedure in _AT_REST:
@@ -209,7 +209,7 @@ def _motion(run: RecordedRun, procedure: str) -> dict[str, Any]:
 
 
 def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, where: str) -> tuple[str, str]:
-    """Return the procedure, and why it was taken where it was not stated; the rates of the gyros are in rad/s."""
+    """Return the procedure, and why it was taken if it was not stated; the rates of the gyros are in rad/s."""
     if options.procedure:
         return options.procedure, ""
     table_rate = run.columns.get(TABLE_RATE, np.zeros(1))

@@ -1,8 +1,9 @@
 """The times of the samples: their unit, and what is wrong with the clock.
 
 Clocks of recordings stand still, go back, wrap round, jitter and leave gaps; loggers write the time at which a packet
-arrived, not that of its samples.  What can be mended without doubt is mended and said: a counter that wraps, rows
-that are repeated or out of order, packets.  Gaps and jitter are said, with the option that takes samples as even.
+arrived, not that of its samples.  Faults that can be corrected without doubt are corrected and reported: a counter that
+wraps, rows that are repeated or out of order, packets.  Gaps and jitter are said, with the option that takes samples as
+even.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,8 +52,8 @@ class Clock:
     ----------
     time : s, increasing, shape (rows kept,).
     keep : which rows are kept, shape (N,).
-    unit : in which the time is recorded; empty where it is made from a rate, or words.
-    guess : why the unit was taken; empty where it is stated.
+    unit : in which the time is recorded; empty if it is made from a rate, or words.
+    guess : why the unit was taken; empty if it is stated.
     notes : what was found, in words.
     """
 
@@ -66,7 +67,7 @@ class Clock:
 def read_clock(
     table: ChosenTable, values: Mapping[str, np.ndarray], filled: np.ndarray, options: ConvertOptions
 ) -> Clock | None:
-    """Return the clock of a table without the rows that repeat a sample; None where it has none.
+    """Return the clock of a table without the rows that repeat a sample; None if it has none.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def read_clock(
     Raises
     ------
     InputError
-        where the unit of the time is not known, or the time goes back.
+        if the unit of the time is not known, or the time goes back.
     """
     clock = _clock(table, values, filled, options)
     if clock is None:
@@ -119,7 +120,7 @@ def _without(clock: Clock, rows: np.ndarray, note: str) -> Clock:
 
 
 def _frozen(again: np.ndarray) -> np.ndarray:
-    """Return the rows, (N,), of long stretches that read the same, where others hardly ever read the same again."""
+    """Return the rows, (N,), of long stretches that read the same, if others hardly ever read the same again."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
     frozen = np.zeros(len(again), dtype=bool)
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -132,7 +133,7 @@ def _held(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     """Return which rows repeat the one before, (N,), and how many rows a sample has; 1 where each row is a sample.
 
     A quiet sensor of coarse steps reads the same again at rest, and not in motion or noise: what counts is how long the
-    rows before the largest changes were the same, where these changes are of several steps.
+    rows before the largest changes were the same, if these changes are of several steps.
     """
     again = _repeated(np.zeros(len(columns[0])), columns)
     if np.mean(again) < 1 - 1 / _LEAST_HELD:
@@ -202,7 +203,7 @@ def _without_empty(
 
 
 def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tuple[str, str]:
-    """Return the unit of a time column, and why it was taken where neither name nor option states it."""
+    """Return the unit of a time column, and why it was taken if neither name nor option states it."""
     stated = options.time_unit or table.columns[TIME].unit
     filled = time[np.isfinite(time)]
     if stated == "100us" and not options.time_unit and (step := _mean_step(filled)) > _COARSE:
@@ -321,7 +322,7 @@ def _roughness(column: np.ndarray, place: np.ndarray, share: np.ndarray) -> floa
 
 
 def _mended(time: np.ndarray, channels: Sequence[np.ndarray], options: ConvertOptions) -> tuple[np.ndarray, list[str]]:
-    """Return increasing times, even where they were asked for or arrive in packets, and what was found."""
+    """Return increasing times, even if they were asked for or arrive in packets, and what was found."""
     step = np.diff(time)
     if len(step) < 20:
         return time, []

@@ -62,7 +62,7 @@ class ChosenTable:
     Attributes
     ----------
     columns : target → column; two for a date and a time of day.
-    evidence : why columns without names were taken so; empty where names or options say it.
+    evidence : why columns without names were taken so; empty if names or options say it.
     left : columns that could have been read as well, and why they are not.
     faults : why the topic cannot serve.
     """
@@ -165,7 +165,7 @@ def _unknown_units(
 
 
 def _read_twice(topic: Topic, columns: Mapping[str, ChosenColumn]) -> list[Issue]:
-    """Return an issue where one column would be two channels."""
+    """Return an issue if one column would be two channels."""
     by_place: dict[int, list[str]] = {}
     for target, column in columns.items():
         by_place.setdefault(column.position, []).append(target)
@@ -198,7 +198,7 @@ def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording)
 
 
 def hinted_kind(topic: Topic, recording: SourceRecording) -> str:
-    """Return ``a`` or ``g`` where it is stated, or the name of the topic, or of the file, says what it holds."""
+    """Return ``a`` or ``g`` if it is stated, or the name of the topic, or of the file, says what it holds."""
     if topic.kind:
         return topic.kind
     for name in (topic.name, recording.file.name.partition(".")[0]):
@@ -259,7 +259,7 @@ def _labels(topic: Topic) -> tuple[str, ...]:
 
 
 def _numeric(topic: Topic, names: str, state: str) -> list[int]:
-    """Return the columns without text, which must stand first, labels apart: they are told by their number."""
+    """Return the columns without text, which must stand first, labels apart: they are identified by their number."""
     read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
     counted = [place for place, column in enumerate(topic.columns) if not column.is_label]
     if read != counted[: len(read)]:
@@ -408,7 +408,7 @@ def _parted_time(table: ChosenTable, roles: Sequence[ColumnRole | None]) -> dict
 
 
 def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:
-    """Return target → columns of what is no channel; a date and a time of day only where there is no other time."""
+    """Return target → columns of what is no channel; a date and a time of day only if there is no other time."""
     found: dict[str, list[int]] = {}
     for place, role in enumerate(roles):
         if role is not None and role.target not in columns and role.target[:2] not in (*SIX, *UNKNOWN_AXES):

@@ -1,8 +1,8 @@
-"""What a column of a recording is, by its name and unit: a channel, its scatter, a time, a temperature, a counter.
+"""Meaning of a column of a recording by its name and unit: a channel, its scatter, a time, a temperature, a counter.
 
 The names of programs and loggers differ in spelling only: `AccX`, `imu.acc.x`, `accelerometer_m_s2[0]`,
 `a_RS_S_x [m s^-2]` and `X-Axis Acceleration` all say the same.  A name is taken apart into words; one says the
-quantity, one the axis, one perhaps a statistic or a unit.  What is left over tells sensors of one recording apart.
+quantity, one the axis, one perhaps a statistic or a unit.  What is left over distinguishes sensors of one recording.
 """
 
 import re
@@ -108,7 +108,7 @@ _NEITHER = _words(
 )
 _GRAVITY, _MOTION = _words("gravity grav"), _words("user linear linearacc")
 WITHOUT_GRAVITY = frozenset({"lin"})
-"""Words of a name that say that gravity may have been subtracted, where other columns are named without them."""
+"""Words of a name that say that gravity may have been subtracted, if other columns are named without them."""
 _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
 _TIMES = _words(
     "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
@@ -134,7 +134,7 @@ class ColumnRole:
     Attributes
     ----------
     target : column of a run table, `?x` for an axis of an unknown quantity, or what a clock is made of.
-    unit : key of the units of its quantity; empty where neither name nor recording states it.
+    unit : key of the units of its quantity; empty if neither name nor recording states it.
     group : the words of the name that say nothing known; columns of one sensor share them.
     unknown : what stands in the place of the unit and is none.
     """
@@ -153,7 +153,7 @@ _OF_PROGRAMS = {f"gF{axis}": ColumnRole(f"a{axis}", "g") for axis in _AXES} | {
 
 
 def unit_named(word: str) -> str:
-    """Return the unit that is written in any usual spelling; empty where it is none that a recording has."""
+    """Return the unit that is written in any usual spelling; empty if it is none that a recording has."""
     plain = word.strip().strip("[](){}").replace("²", "2").replace("⁻", "-").replace("¹", "1")
     for sign in ("^", "**", " ", "_", "·", "*", "(", ")"):
         plain = plain.replace(sign, "")
@@ -163,12 +163,12 @@ def unit_named(word: str) -> str:
 
 
 def is_unit(cell: str) -> bool:
-    """Tell whether a cell of a text table is a unit and not a name: `g` is both."""
+    """Return whether a cell of a text table is a unit and not a name: `g` is both."""
     return bool(unit_named(cell)) or cell.strip().strip("[](){}").lower() in ("-", "1", "", "na", "n/a", "unitless")
 
 
 def unit_in_brackets(name: str) -> str:
-    """Return the unit that a name states in brackets; empty where it states none."""
+    """Return the unit that a name states in brackets; empty if it states none."""
     return next((unit for found in _BRACKETED.findall(name) if (unit := unit_named(found))), "")
 
 
@@ -178,7 +178,7 @@ def words_of(name: str) -> list[str]:
 
 
 def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
-    """Return what a column is; None where its name says nothing that a campaign knows.
+    """Return what a column is; None if its name says nothing that a campaign knows.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def _time_of_gps(words: list[str], unit: str) -> ColumnRole | None:
 
 
 def _is_unknown(text: str) -> bool:
-    """Tell whether what stands in the place of a unit is none that is known, and no word beside it."""
+    """Return whether what stands in the place of a unit is none that is known, and no word beside it."""
     named = bool(text.strip()) and not re.search(r"\d{3}", text)  # a descriptor, such as [x8004], is none
     return named and not is_unit(text) and not set(words_of(text)) <= _NO_UNIT
 
@@ -291,7 +291,7 @@ def _parts_of_force(names: Sequence[str]) -> dict[str, dict[str, tuple[int, str]
 
 
 def names_gravity(words: Sequence[str]) -> bool:
-    """Tell whether words name gravity, apart from the reading of the accelerometers."""
+    """Return whether words name gravity, apart from the reading of the accelerometers."""
     return bool(set(words) & _GRAVITY)
 
 
@@ -362,7 +362,7 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
 
 
 def _is_warmth(words: Sequence[str], unit: str) -> bool:
-    """Tell a temperature by its unit; `K` alone may be something else."""
+    """Recognise a temperature by its unit; `K` alone may be something else."""
     return unit in ("degC", "degF") or (unit == "K" and list(words) in (["t"], ["tc"], ["ts"]))
 
 

@@ -71,7 +71,7 @@ def with_gravity(recordings: Sequence[SourceRecording]) -> list[SourceRecording]
 
 
 def _is_triple(recording: SourceRecording) -> bool:
-    """Tell whether a file has one table, with a time before columns named x, y and z alone."""
+    """Return whether a file has one table, with a time before columns named x, y and z alone."""
     topics = recording.topics()
     axes = sorted(axis for name in topics[0].names if (axis := axis_and_words(name)[0])) if len(topics) == 1 else []
     return axes == ["x", "y", "z"] and not axis_and_words(topics[0].names[0])[0]

@@ -1,6 +1,6 @@
 """`mapping.toml`: how a recording was read, written beside the campaign and read again for others of its kind.
 
-What was stated, by an option or by the recording, stands as a key.  What was guessed stands as a comment with its
+A fact stated by an option or by the recording is written as a key.  A guess is written as a comment with its
 evidence: it is guessed anew for each recording, until someone takes the comment sign away.
 """
 

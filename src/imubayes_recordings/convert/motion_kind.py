@@ -70,7 +70,7 @@ def _poses(force: np.ndarray, interval: float) -> tuple[int, float]:
 
 
 def per_radian_in_motion(columns: Mapping[str, np.ndarray]) -> float:
-    """Return what the gyros read for one radian, from a unit in motion; 0 where its force does not follow them.
+    """Return what the gyros read for one radian, from a unit in motion; 0 if its force does not follow them.
 
     Gravity turns in body axes by −ω × f.  The change of the mean force from one tenth of a second to the next is
     regressed on that: the jerk of the hand is noise of the dependent variable.

@@ -2,12 +2,12 @@
 
 The model is linear about nominal equipment and sensors, with the noise that the campaign states: the share of the
 information on a coefficient that would come from the data follows from the rows alone, not from their readings.  What
-equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, where
-these runs tell anything of them, or the others depend on them: to leave out a scale factor that one attitude does not
-tell would make the bias look too well known.
-Further effects are where the runs determine every coefficient, beside all others, and tell it from bias, scale factor
-and misalignment: of six faces K0 and K2 have hardly more than a sum.  Those that a procedure of the runs is made for
-are where the runs determine any coefficient: without them the first fit would fail.
+equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, if
+these runs show anything of them, or the others depend on them: to leave out a scale factor that one attitude does not
+determine would make the bias look too well known.
+Further effects are if the runs determine every coefficient, beside all others, and distinguish it from bias, scale
+factor and misalignment: of six faces K0 and K2 have hardly more than a sum.  Those that a procedure of the runs is made
+for are if the runs determine any coefficient: without them the first fit would fail.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ _HELD, _HELD_RAD = "normal(0, 0.001 arcsec)", 1e-8
 
 @dataclass(frozen=True)
 class ProposedEffect:
-    """An entry of a model: its settings, and the least and largest share of its coefficients that the data tell.
+    """An entry of a model: its settings, and the least and largest share of its coefficients that the data determine.
 
     The shares are None for equipment, station and noise.
     """
@@ -81,7 +81,7 @@ class EffectProposal:
     Attributes
     ----------
     effects : in the order of a model file: equipment and station, sensors, further ones, noise.
-    undetermined : further effects that the runs show and do not determine, with the largest share they tell.
+    undetermined : further effects that the runs show and do not determine, with the largest share they determine.
     missing : effects on channels of the unit that no run can show, with what is missing for each.
     turned_by_hand : whether the accelerometers define the body frame, as no table does.
     expected : of the biases, scale factors and misalignments that are free, beside all effects of the model.
@@ -100,7 +100,7 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     Raises
     ------
     InputError
-        where not even noise can be bound to the campaign.
+        if not even noise can be bound to the campaign.
     """
     by_hand = _turned_by_hand(campaign)
     purposes = purposes_of(campaign)
@@ -158,7 +158,7 @@ def purposes_of(campaign: Campaign) -> tuple[str, ...]:
 
 
 def _turned_by_hand(campaign: Campaign) -> bool:
-    """Tell whether there is no fixture: a unit that rests in attitudes that nobody knows, and stated turns of it."""
+    """Return whether there is no fixture: a unit that rests in attitudes that nobody knows, and stated turns of it."""
     apart = [run for run in campaign.runs if run.tumble is None]
     return len(apart) < len(campaign.runs) and all(run.turn_uncertainty is not None for run in apart)
 
@@ -179,10 +179,10 @@ def _specs(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]
 
 
 def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
-    """Return the entries of an effect: one, but where a unit turned by hand has its frame by its accelerometers.
+    """Return the entries of an effect: one, but if a unit turned by hand has its frame by its accelerometers.
 
-    Gravity of unknown direction cannot tell a rotation of the unit from one of its axes: the first accelerometer lies
-    along its nominal axis, the second in the nominal plane of both.
+    Gravity of unknown direction cannot distinguish a rotation of the unit from one of its axes: the first accelerometer
+    lies along its nominal axis, the second in the nominal plane of both.
     """
     if name in NOISE and (own := _noise_by_hand(name, campaign, by_hand)) is not None:
         return (own,)
@@ -205,7 +205,7 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
 def _noise_by_hand(name: str, campaign: Campaign, by_hand: bool) -> EffectSpec | None:
     """Return the entry of a noise component of a unit by hand; None if its default serves."""
     if name == "white_noise" and all(map(_in_motion, campaign.runs)):
-        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
+        # Windows of one length cannot distinguish it from the acceleration of the hand; the samples within them can.
         carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
         return EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"})
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest

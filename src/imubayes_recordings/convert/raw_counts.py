@@ -61,9 +61,9 @@ def find_poses(force: np.ndarray, interval: float, seconds: float | None) -> tup
 
 
 def signed_counts(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Return the columns with negative counts that were written as unsigned turned back, and a note where there are.
+    """Return the columns with negative counts that were written as unsigned turned back, and a note if there are.
 
-    A number in two's complement that is read as unsigned jumps by nearly the whole range where it changes its sign.
+    A number in two's complement that is read as unsigned jumps by nearly the whole range if it changes its sign.
     A converter with an offset passes through the values between.
     """
     found = [column[np.isfinite(column)] for name, column in columns.items() if name in SIX]
@@ -82,7 +82,7 @@ def signed_counts(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarr
 
 
 def _jumps(column: np.ndarray, width: float) -> bool:
-    """Tell whether steps over half the range are gone once the upper half is taken as negative."""
+    """Return whether steps over half the range are gone once the upper half is taken as negative."""
     far = np.count_nonzero(np.abs(np.diff(column)) > width / 2)
     near = np.count_nonzero(np.abs(np.diff(np.where(column >= width / 2, column - width, column))) > width / 2)
     return bool(far > _SEVERAL and near < far / 10)
@@ -235,7 +235,7 @@ def nominal_of_counts(
 def _by_turns(
     columns: Mapping[str, np.ndarray], options: ConvertOptions, notes: list[str], source: str
 ) -> Nominal | None:
-    """Return the nominal calibration of gyros by turns through a stated angle; None where none is stated."""
+    """Return the nominal calibration of gyros by turns through a stated angle; None if none is stated."""
     names = [name for name in GYROS if name in columns]
     if options.turn_deg is None or not names or TIME not in columns:
         return None
@@ -250,7 +250,7 @@ def _by_turns(
 
 
 def _by_table(columns: Mapping[str, np.ndarray], options: ConvertOptions, notes: list[str]) -> Nominal | None:
-    """Return the nominal calibration of gyros by the rate of the table; None where it is not recorded."""
+    """Return the nominal calibration of gyros by the rate of the table; None if it is not recorded."""
     names = [name for name in GYROS if name in columns]
     if (known := counts_of_table(columns, names)) is None:
         return None
@@ -262,7 +262,7 @@ def _by_table(columns: Mapping[str, np.ndarray], options: ConvertOptions, notes:
 
 
 def _given(unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal | None:
-    """Return the nominal calibration of the options, None where incomplete; a channel not in counts has scale 1."""
+    """Return the nominal calibration of the options, None if incomplete; a channel not in counts has scale 1."""
     if unit != "count":
         return Nominal(np.ones(3), np.zeros(3))
     if scale is None or offset is None:
@@ -313,7 +313,7 @@ def _estimated(
 
 
 def _three(columns: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray | None:
-    """Return the three columns of a kind, shape (N, 3); None where one is missing."""
+    """Return the three columns of a kind, shape (N, 3); None if one is missing."""
     return np.stack([columns[name] for name in names], axis=1) if all(name in columns for name in names) else None
 
 

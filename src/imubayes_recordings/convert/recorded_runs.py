@@ -1,4 +1,4 @@
-"""From the chosen tables to the runs of a campaign: clocks merged, parts joined, pose means told from logs."""
+"""From the chosen tables to the runs of a campaign: clocks merged, parts joined, pose means distinguished from logs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -56,7 +56,7 @@ class RecordedRun:
     units : channel → unit that name or recording state.
     notes : how the recording was understood, and what was left out.
     guesses : option → why its value was taken.
-    time_unit : in which times were recorded; empty where they were made from a rate or words.
+    time_unit : in which times were recorded; empty if they were made from a rate or words.
     means : whether each row is the mean of a pose.
     followers : gives the columns that are not read and follow a gyro; they are read for that.
     """
@@ -76,7 +76,7 @@ class Follower:
 
     Attributes
     ----------
-    column, channel : their names; the number of the column where it has none.
+    column, channel : their names; the number of the column if it has none.
     slope : of the gyro over the column, in recorded units.
     """
 
@@ -91,7 +91,7 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
     Raises
     ------
     InputError
-        where a raw log has no times, or two clocks do not overlap.
+        if a raw log has no times, or two clocks do not overlap.
     """
     parts = _whole_parts(tables, options)
     if len(parts) > 1 and options.rows != "samples" and (faces := _faces(parts)) is not None:
@@ -193,7 +193,7 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
 
 
 def _followers(table: ChosenTable, values: Columns) -> tuple[Follower, ...]:
-    """Return the columns that are not read and follow a gyro, the closest first; none where the rate is read."""
+    """Return the columns that are not read and follow a gyro, the closest first; none if the rate is read."""
     columns, gyros = table.topic.columns, [name for name in GYROS if name in values]
     unread = [] if TABLE_RATE in table.columns else _unread(table)
     if not gyros or not unread:
@@ -229,12 +229,12 @@ def _regressed(other: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
 
 
 def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:
-    """Return a note where the rows of several units seem to alternate.
+    """Return a note if the rows of several units seem to alternate.
 
     Raises
     ------
     InputError
-        where, besides, a column that is not read may say which unit a row is of.
+        if, besides, a column that is not read may say which unit a row is of.
     """
     channels = np.stack([values[name][:_PROBED] for name in SIX if name in values], axis=1)
     channels = channels[np.isfinite(channels).all(axis=1)]
@@ -335,7 +335,7 @@ def _overlap(time: np.ndarray, clock: np.ndarray, where: str) -> np.ndarray:
 
 
 def _faces(parts: Sequence[RecordedRun]) -> RecordedRun | None:
-    """Return the table of pose means of several recordings that each rest on one face; None where any moves."""
+    """Return the table of pose means of several recordings that each rest on one face; None if any moves."""
     names = [name for name in SIX if all(name in part.columns for part in parts)]
     if len(parts) < _LEAST_FACES or not set(ACCELEROMETERS) <= set(names):
         return None
@@ -376,7 +376,7 @@ def _stacked(part: RecordedRun, names: Sequence[str]) -> np.ndarray:
 
 
 def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:
-    """Return parts that follow each other in time as one record; None where they do not."""
+    """Return parts that follow each other in time as one record; None if they do not."""
     ordered = sorted(parts, key=lambda part: float(part.columns[TIME][0]) if TIME in part.columns else 0.0)
     follow = all(
         TIME in first.columns and TIME in second.columns and second.columns[TIME][0] > first.columns[TIME][-1]
@@ -410,7 +410,7 @@ def _told_rows(part: RecordedRun, options: ConvertOptions, tables: Sequence[Chos
 
 
 def _pose_means(columns: Columns) -> bool:
-    """Tell whether the rows are means of poses: the direction of f changes from row to row, and |f| does not."""
+    """Return whether the rows are means of poses: the direction of f changes from row to row, and |f| does not."""
     if not all(name in columns for name in ACCELEROMETERS) or not 4 <= len(columns["ax"]) <= _MOST_MEANS:
         return False
     force = np.stack([columns[name] for name in ACCELEROMETERS], axis=1)
@@ -436,7 +436,7 @@ def _from_zero(run: RecordedRun, options: ConvertOptions) -> RecordedRun:
 
 
 def still_seconds(run: RecordedRun) -> float:
-    """Return how long a run lasts that rests in one attitude all the time; 0 where it moves, or is no log."""
+    """Return how long a run lasts that rests in one attitude all the time; 0 if it moves, or is no log."""
     names = [name for name in ACCELEROMETERS if name in run.columns] or [n for n in GYROS if n in run.columns]
     if run.means or TIME not in run.columns or not names:
         return 0.0

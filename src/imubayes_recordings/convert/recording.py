@@ -30,8 +30,8 @@ class SourceColumn:
 
     Attributes
     ----------
-    name : as the recording writes it; empty where it has no names.
-    unit : as the recording states it, in its own spelling; empty where it states none.
+    name : as the recording writes it; empty if it has no names.
+    unit : as the recording states it, in its own spelling; empty if it states none.
     is_label : whether it holds the same word in every line, such as `a/g:`.
     """
 
@@ -49,11 +49,11 @@ class Topic:
     name : empty for the only table of a file.
     columns : in the order of the file.
     where : file and line or part, for errors.
-    note : how the columns were found, in words; empty where the format says it.
-    rate_hz : sampling rate that the recording states; None where it states none.
+    note : how the columns were found, in words; empty if the format says it.
+    rate_hz : sampling rate that the recording states; None if it states none.
     misfit : whether there are names that differ in number from the data fields; the columns have none then.
     numbered : whether the name is a number in each line, which says nothing by itself.
-    kind : `a` or `g` where it is stated that the topic holds accelerometers or gyros.
+    kind : `a` or `g` if it is stated that the topic holds accelerometers or gyros.
     """
 
     name: str
@@ -156,7 +156,7 @@ MOST_EXPANSION, LEAST_LIMIT = 200, 1 << 28
 
 
 def refuse_expansion(file: Path, size: int) -> None:
-    """Raise InputError where a file holds, or says that it holds, far more numbers than its size can be."""
+    """Raise InputError if a file holds, or says that it holds, far more numbers than its size can be."""
     own = sum(part.stat().st_size for part in (file.rglob("*") if file.is_dir() else (file,)) if part.is_file())
     most = max(LEAST_LIMIT, MOST_EXPANSION * own)
     if size > most:
@@ -176,7 +176,7 @@ class RecordingKind:
     name : of the kind, for messages.
     fits : whether a file that begins so is of the kind.
     reader : opens it.
-    package : the package of an extra that the reader needs; empty where there is none.
+    package : the package of an extra that the reader needs; empty if there is none.
     """
 
     name: str

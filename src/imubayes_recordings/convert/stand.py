@@ -1,8 +1,9 @@
-"""The table and the mountings of a recording that stood on something, as far as its numbers tell them.
+"""The table and the mountings of a recording that stood on something, as far as its numbers determine them.
 
-Nobody stated where north is, nor how level the bench is.  At rest, accelerometers tell which face is up.  On a rate
-table, the gyros tell where the table axis is in body axes: each responds by the cosine of its angle to it, so that a
-unit in a tilted fixture is read as such, and one that was seated anew for each recording has a mounting for each.
+Nobody stated where north is, nor how level the bench is.  At rest, accelerometers determine which face is up.  On a
+rate table, the gyros determine where the table axis is in body axes: each responds by the cosine of its angle to it, so
+that a unit in a tilted fixture is read as such, and one that was seated anew for each recording has a mounting for
+each.
 """
 
 import math
@@ -20,7 +21,7 @@ from imubayes_recordings.convert.recorded_runs import RecordedRun, still_seconds
 from imubayes_recordings.convert.stated_turns import BODY_TO_TABLE
 
 PUT_ANYHOW: dict[str, Any] = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
-LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, where nobody states it
+LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, if nobody states it
 _NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit measure in all
 _DESIGN = np.cos(np.radians(3.0))  # of the angle to a direction that is taken for the design of a seat
 _SAME = np.cos(np.radians(0.1))  # of the angle between two recordings in one seat; anew in it, a unit sits otherwise
@@ -34,7 +35,7 @@ class Stand:
 
     Attributes
     ----------
-    table, mounting : entries of `campaign.toml`; empty where a procedure needs none.
+    table, mounting : entries of `campaign.toml`; empty if a procedure needs none.
     seats : for each recording, what its run says of them.
     notes : what is assumed.
     """
@@ -103,7 +104,7 @@ def _seat(mounting: str) -> dict[str, str]:
 
 
 def _table_axis(run: RecordedRun, rate: np.ndarray) -> np.ndarray | None:
-    """Return the direction of the table axis in body axes, (3,); None where the gyros do not tell it."""
+    """Return the direction of the table axis in body axes, (3,); None if the gyros do not determine it."""
     if TABLE_RATE not in run.columns or rate.shape[1] != 3:
         return None
     table = run.columns[TABLE_RATE]
@@ -127,7 +128,7 @@ def _upright(run: RecordedRun, axis: np.ndarray) -> float | None:
 
 
 def _face_up(run: RecordedRun) -> np.ndarray:
-    """Return the body axis nearest to the mean specific force, (3,); z up where it moves or is not known."""
+    """Return the body axis nearest to the mean specific force, (3,); z up if it moves or is not known."""
     axis = np.array([0.0, 0.0, 1.0])
     if not all(name in run.columns for name in ACCELEROMETERS) or not still_seconds(run):
         return axis

@@ -1,4 +1,4 @@
-"""What gyros read for one radian, by a motion that is stated: turns through a known angle, or the rate of a table.
+"""Output of gyros for one radian, by a stated motion: turns through a known angle, or the rate of a table.
 
 The rate of a table determines the nominal scale of gyros in counts as well.
 """
@@ -31,7 +31,7 @@ def per_radian_of_stated_motion(
     if options.turn_deg is not None and TIME in columns:
         try:
             size = float(np.median(counts_of_turns(columns, names, math.radians(options.turn_deg), where)[0]))
-        except InputError:  # which the turns themselves raise where they are read
+        except InputError:  # which the turns themselves raise if they are read
             return 0.0, ""
         return size, f"turns of {options.turn_deg:g} deg integrate to {size:.4g} per radian"
     size = per_radian_of_table(columns, names)

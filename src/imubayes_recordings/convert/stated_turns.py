@@ -1,9 +1,9 @@
 """Turns of a unit by hand through an angle that is known, such as 360 deg from a mark back to the mark.
 
-Without accelerometers, or about the vertical, nothing else tells how far a unit was turned.  A turn from rest to rest
-is a row of a rate table whose axis is that of the turn: its mean rate is the stated angle over its length, whatever the
-rate was in between, and what the hand adds is the uncertainty of the angle.  The rests between are rows at rest.  Which
-axis it is, which sense and how often the angle, the gyros themselves say at their nominal scale.
+Without accelerometers, or about the vertical, nothing else determines how far a unit was turned.  A turn from rest to
+rest is a row of a rate table whose axis is that of the turn: its mean rate is the stated angle over its length,
+whatever the rate was in between, and what the hand adds is the uncertainty of the angle.  The rests between are rows at
+rest.  Which axis it is, which sense and how often the angle, the gyros themselves say at their nominal scale.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +59,7 @@ def find_stated_turns(
     Raises
     ------
     InputError
-        where no turn is one through a multiple of the angle.
+        if no turn is one through a multiple of the angle.
     """
     time, interval = columns[TIME], float(np.median(np.diff(columns[TIME])))
     moving, rest = _moving(rate, max(1, round(_BLOCK / interval)))
@@ -108,7 +108,7 @@ def counts_of_turns(
     Raises
     ------
     InputError
-        where the unit never turns about one axis alone.
+        if the unit never turns about one axis alone.
     """
     counts = np.stack([columns[name] for name in names], axis=1)
     interval = float(np.median(np.diff(columns[TIME])))

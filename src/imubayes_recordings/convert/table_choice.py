@@ -23,7 +23,7 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
     Raises
     ------
     InputError
-        where no column is a channel, more than one choice is possible, or a stated column is missing; with what the
+        if no column is a channel, more than one choice is possible, or a stated column is missing; with what the
         recordings hold.
     """
     found = _topics(with_gravity(recordings), options)
@@ -42,7 +42,7 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
 
 
 def _refuse_lost_kind(tables: Sequence[ChosenTable], chosen: Sequence[ChosenTable], options: ConvertOptions) -> None:
-    """Raise InputError where a topic names the channels that no chosen table has, and cannot serve."""
+    """Raise InputError if a topic names the channels that no chosen table has, and cannot serve."""
     kinds = "".join(table.kinds for table in chosen)
     for table in () if options.topic or options.columns else tables:
         roles = [role_of(column.name, column.unit) for column in table.topic.columns if column.name]
@@ -62,7 +62,7 @@ def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> l
 
 
 def _stated_topic(word: str, names: Sequence[str]) -> tuple[str, str]:
-    """Return the name of a stated topic, and the kind of its channels where that is stated: `acc=1`, `gyro=4`."""
+    """Return the name of a stated topic, and the kind of its channels if that is stated: `acc=1`, `gyro=4`."""
     says, equals, name = word.partition("=")
     if word in names or not equals:
         says, name = "", word
@@ -111,7 +111,7 @@ def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable,
 
 
 def _is_open(*by_kind: Sequence[ChosenTable]) -> bool:
-    """Tell whether tables with both kinds, with accelerometers and with gyros are more than one record each or runs.
+    """Return whether tables with both kinds, with accelerometers and with gyros are more than one record each or runs.
 
     One topic of accelerometers and one of gyros in each of several files are the parts of a record, or its runs.
     """

@@ -1,4 +1,4 @@
-"""Units of the channels: as stated, or as the numbers say, with the evidence; asked for where two fit.
+"""Units of the channels: as stated, or as the numbers say, with the evidence; asked for if two fit.
 
 Accelerometers at rest read g in some unit.  Gyros at rest say little; the turns between poses do: the angle between the
 directions of gravity before and after a turn is what the gyros integrate to, in rad, deg or counts.  Turns through a
@@ -35,8 +35,8 @@ class Units:
 
     Attributes
     ----------
-    accel, gyro : keys of `ACCEL_UNITS` and `GYRO_UNITS`; empty where there are no such channels.
-    guesses : option → why its value was taken, where numbers said it.
+    accel, gyro : keys of `ACCEL_UNITS` and `GYRO_UNITS`; empty if there are no such channels.
+    guesses : option → why its value was taken, if numbers said it.
     """
 
     accel: str
@@ -54,19 +54,19 @@ def find_units(
 
     Parameters
     ----------
-    columns : target → values, shape (N,), with `time_s` in s where the rows have times.
+    columns : target → values, shape (N,), with `time_s` in s if the rows have times.
     stated : channel → unit that its name or the recording states.
     where : for errors.
 
     Raises
     ------
     InputError
-        where the unit is not known and the numbers fit none or several.
+        if the unit is not known and the numbers fit none or several.
     """
     guesses: dict[str, str] = {}
     names = [name for name in ACCELEROMETERS if name in columns]
     force = np.stack([columns[name][:READ] for name in names], axis=1) if names else np.zeros((0, 0))
-    accel = options.accel_unit  # where gravity speaks for it, what the recording states is wrong
+    accel = options.accel_unit  # if gravity speaks for it, what the recording states is wrong
     if not accel or force.shape[1] != 3 or unit_of_gravity(force, rest_means(force))[0] != accel:
         accel = _stated("accel_unit", accel, ACCELEROMETERS, columns, stated, where)
     if accel:
@@ -104,7 +104,7 @@ def _stated(
 def _of_stated_gyros(
     columns: Mapping[str, np.ndarray], stated: Mapping[str, str], options: ConvertOptions, where: str
 ) -> str:
-    """Return the unit that is stated, held against the turns between poses; an option is right where they agree."""
+    """Return the unit that is stated, held against the turns between poses; an option is right if they agree."""
     given, own = options.gyro_unit, {stated[name] for name in GYROS if name in columns and stated.get(name)}
     wanted = given or (own.pop() if len(own) == 1 else "")
     size = 0.0
@@ -124,12 +124,12 @@ def _other_turns(unit: str, size: float, time: np.ndarray, where: str) -> InputE
 
 
 def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
-    """Raise InputError where three accelerometers read at rest what is not g in their unit."""
+    """Raise InputError if three accelerometers read at rest what is not g in their unit."""
     known = ACCEL_UNITS.get(unit)
     if force.shape[1] != 3 or known is None or known.increment or unit == "count":
         return
     gravity = known.scale * GRAVITY[known.per]
-    # At rest, or in each row where a row is a pose.
+    # At rest, or in each row if a row is a pose.
     sizes = [float(np.nanmedian(np.linalg.norm(part, axis=1))) for part in (rest_means(force), force) if len(part)]
     if sizes and not any(LEAST_G < size / gravity < MOST_G for size in sizes):
         size, in_g = sizes[0], sizes[0] / gravity
@@ -173,13 +173,13 @@ def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
 
 
 def _rivals_of_mg(force: np.ndarray, size: float) -> bool:
-    """Tell whether |f| is nearer to g in cm/s², or in the counts of a common converter, than to 1000 mg."""
+    """Return whether |f| is nearer to g in cm/s², or in the counts of a common converter, than to 1000 mg."""
     rivals = [980.665, *([1024.0] if _whole(force) else [])]
     return min(abs(size - rival) for rival in rivals) < abs(size - 1000.0)
 
 
 def _whole(values: np.ndarray) -> bool:
-    """Tell whether readings are whole numbers, and not few of them, as those of a converter."""
+    """Return whether readings are whole numbers, and not few of them, as those of a converter."""
     part = values[:1000][np.isfinite(values[:1000]).all(axis=1)]
     return bool((part % 1 == 0).all() and np.ptp(values, axis=0).max() > _FEW_COUNTS)
 
@@ -218,7 +218,7 @@ def unit_of_turns(size: float) -> str:
 
 
 def _of_poses(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
-    """Return what the gyros read for one radian by the turns between poses; 0 and nothing where they are not known."""
+    """Return what the gyros read for one radian by the turns between poses; 0 and nothing if they are not known."""
     names = (*SIX, TIME)
     known = all(name in columns for name in names)
     return per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
@@ -231,7 +231,7 @@ def _not_told(accel: str) -> str:
 
 
 def _other_rate(time: np.ndarray | None, per_radian: float) -> str:
-    """Return at which sampling rate the turns would be right in a usual unit; empty where at none."""
+    """Return at which sampling rate the turns would be right in a usual unit; empty if at none."""
     if time is None or not per_radian:
         return ""
     rate = 1 / float(np.median(np.diff(time)))
@@ -244,13 +244,13 @@ def _other_rate(time: np.ndarray | None, per_radian: float) -> str:
 
 
 def _of_motion(part: Mapping[str, np.ndarray]) -> tuple[float, str]:
-    """Return what the gyros read for one radian where there are no turns between poses; 0 where it is not told."""
+    """Return what the gyros read for one radian if there are no turns between poses; 0 if it is not known."""
     size = per_radian_in_motion(part)
     return size, f" (gravity turns by {size:.4g} per radian)" if size else ""
 
 
 def per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
-    """Return how much the gyros read for one radian, from the turns between poses; 0 where there are too few.
+    """Return how much the gyros read for one radian, from the turns between poses; 0 if there are too few.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Columns without names: what their numbers say, and what they do not.
 
-A time increases.  Three accelerometers at rest read |f| = g in one of the usual units, three gyros little.  Only where
+A time increases.  Three accelerometers at rest read |f| = g in one of the usual units, three gyros little.  Only if
 one reading of the columns fits is it taken, and it is said with its evidence; anything else is refused with what each
 column looks like.
 """
@@ -43,7 +43,7 @@ class GuessedColumns:
 
 
 def rest_means(values: np.ndarray) -> np.ndarray:
-    """Return means of windows at rest, shape (windows, columns); the rows themselves where there are few.
+    """Return means of windows at rest, shape (windows, columns); the rows themselves if there are few.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def unit_of_gravity(values: np.ndarray, rest: np.ndarray) -> tuple[str, float]:
 
 
 def is_clock(values: np.ndarray) -> bool:
-    """Tell whether a column never goes back by more than a reset, and mostly forward."""
+    """Return whether a column never goes back by more than a reset, and mostly forward."""
     step = np.diff(values[np.isfinite(values)][:READ])
     return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
 
@@ -115,14 +115,14 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
     ----------
     values : all columns of numbers, shape (N, W).
     numbers : W, of these columns in the table, from 1, as messages and options name them.
-    kind : ``a`` or ``g`` where the name of the file or topic says that it holds accelerometers or gyros.
+    kind : ``a`` or ``g`` if the name of the file or topic says that it holds accelerometers or gyros.
     where : for the error.
     names : how the columns are headed, for the error.
 
     Raises
     ------
     InputError
-        where no reading of the columns fits, or more than one.
+        if no reading of the columns fits, or more than one.
     """
     width = values.shape[1]
     clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
@@ -193,7 +193,7 @@ def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) 
 
 
 def _turns(rest: np.ndarray) -> bool:
-    """Tell whether the direction of three columns differs from rest to rest, (n, 3)."""
+    """Return whether the direction of three columns differs from rest to rest, (n, 3)."""
     unit = rest / np.maximum(np.linalg.norm(rest, axis=1, keepdims=True), 1e-300)
     return float(np.linalg.norm(unit.mean(axis=0))) < _ONE_DIRECTION
 
@@ -229,7 +229,7 @@ def _three(names: tuple[str, ...], triple: list[int]) -> dict[str, int]:
 
 
 def _small(rest: np.ndarray, values: np.ndarray) -> bool:
-    """Tell whether three columns are near zero at rest, as those of a gyro: in size, or beside what they read else."""
+    """Return whether three columns are near zero at rest, as those of a gyro: in size, or beside other readings."""
     size = float(np.median(np.linalg.norm(rest, axis=1)))
     return size < _STILL and size < max(1.0, 0.5 * float(np.quantile(np.abs(values[:READ]), 0.999)))
 

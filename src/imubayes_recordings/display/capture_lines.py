@@ -1,4 +1,4 @@
-"""What the operator of a guided capture reads: one line that changes, and one for each rest that is done."""
+"""Text for the operator of a guided capture: one line that changes, and one for each rest that is done."""
 
 from collections.abc import Mapping, Sequence
 

@@ -51,8 +51,8 @@ def template(
 ) -> tuple[str, str]:
     """Return a `campaign.toml` to be filled in, of an IMU and one run of a procedure, and the header of its table.
 
-    What `site` and `units` (of each kind of channel) do not state is left open: the campaign is refused, with line and
-    key, until it is stated.
+    Facts that `site` and `units` (of each kind of channel) do not state are left open: the campaign is refused, with
+    line and key, until it is stated.
     """
     axes = [[float(row == column) for column in range(3)] for row in range(3)]
     document: dict[str, Any] = {"format": 1, "name": name}
@@ -77,7 +77,7 @@ def template(
 
 
 def start_proposal() -> EffectProposal:
-    """Return the effects to start with where there are no runs yet: each is left out where no run shows it."""
+    """Return the effects to start with if there are no runs yet: each is left out if no run shows it."""
     names = (*of_equipment(), *STATION, *SENSORS)
     optional = [ProposedEffect(EffectSpec(name, optional=True)) for name in names]
     noise = [ProposedEffect(EffectSpec("white_noise")), ProposedEffect(EffectSpec("run_scatter", optional=True))]
@@ -97,7 +97,7 @@ def commented_campaign(text: str) -> str:
 
 
 def commented_model(name: str, proposal: EffectProposal, runs: int) -> str:
-    """Return a model file: what these runs can determine, with what they tell of it, and what they cannot."""
+    """Return a model file: what these runs can determine, with what they show of it, and what they cannot."""
     lines = [
         f"# Written by `imubayes new`: the effects that {counted(runs, 'run')} can determine."
         if runs

@@ -44,7 +44,7 @@ def priors_text(noise: StaticNoise, sample_rate: float | None = None) -> str:
 
     Parameters
     ----------
-    sample_rate : of the raw samples of the other campaigns, Hz; that of the record where None.
+    sample_rate : of the raw samples of the other campaigns, Hz; that of the record if None.
     """
     last = {channel.channel: channel for channel in noise.channels if has_priors(channel)}
     text = [
@@ -139,7 +139,7 @@ def _numbers(row: Sequence[float]) -> str:
     return ", ".join(f"{value:.6f}" for value in np.asarray(row))
 
 
-_COARSE = 0.1  # part of rounding in the variance of samples from which it is told
+_COARSE = 0.1  # part of rounding in the variance of samples from which it is reported
 _MOST_LINES = 5
 
 

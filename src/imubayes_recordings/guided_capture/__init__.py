@@ -29,7 +29,7 @@ from imubayes_recordings.guided_capture.steps import UNTIL, Guidance, GuidedStep
 
 __all__ = ["UNTIL", "Guidance", "GuidedCapture", "Motion", "Wanted", "growing_lines"]
 
-_BEGIN = 200  # lines by which the columns are told
+_BEGIN = 200  # lines by which the columns are known
 _PAUSE = 50.0  # mean steps without a sample: the motion is not known to have gone on
 _POLL, _LOOK = 0.05, 0.25  # s between two looks at the file, and at the samples
 
@@ -217,11 +217,11 @@ class GuidedCapture:
 
     @property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What is asked for, as far as the channels of the recording can tell it."""
+        """What is asked for, as far as the channels of the recording can determine it."""
         return self._until
 
 
 def _least_steps(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the least step of each column from row to row, 0 where it never changes."""
+    """Return the least step of each column from row to row, 0 if it never changes."""
     steps = [np.abs(np.diff(values)) for values in columns]
     return np.array([step[step > 0].min() if step.any() else 0.0 for step in steps])

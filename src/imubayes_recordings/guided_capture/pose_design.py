@@ -1,9 +1,9 @@
-"""What the poses and turns of a hand-held unit determine so far, and which attitude would tell most next.
+"""What the poses and turns of a hand-held unit determine so far, and which attitude would determine most next.
 
-Everything is linear about the nominal calibration.  |f| = g in each pose tells of the accelerometers
+Everything is linear about the nominal calibration.  |f| = g in each pose determines the accelerometers
 (`magnitude_calibration`).  A turn carries the direction of gravity from one pose to the next, which errors of the
-gyros about any horizontal axis displace.  The scatter is that within the poses, or what is left of |f| − g where the
-poses are enough to tell it.  Correlation between gyros and accelerometers is left to the fit.
+gyros about any horizontal axis displace.  The scatter is that within the poses, or what is left of |f| − g if the
+poses are enough to determine it.  Correlation between gyros and accelerometers is left to the fit.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ _DIRECTIONS = np.array([way for way in product((0, 1, -1), repeat=3) if any(way)
 DIRECTIONS = _DIRECTIONS[np.argsort(np.abs(_DIRECTIONS).sum(axis=1), kind="stable")]
 """Directions of the body that may point up, (26, 3), not normalised: faces, then edges, then corners."""
 _STEPS = 12  # of a turn that is planned
-_LEAST_ACROSS = 0.2  # sine of its angle, for its axis to be told
+_LEAST_ACROSS = 0.2  # sine of its angle, for its axis to be reported
 
 
 @dataclass(frozen=True)

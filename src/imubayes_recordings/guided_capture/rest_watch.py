@@ -1,7 +1,7 @@
 """Rests of a unit turned by hand while it is recorded.
 
-As in `static_poses`, the variance in a window of a second is compared with the quietest seen, and the gyros tell turns
-that the accelerometers do not see.  What is found here steers the operator; the poses of the campaign are found in the
+As in `static_poses`, the variance in a window of a second is compared with the quietest seen, and the gyros determine
+turns that the accelerometers do not see.  The result steers the operator; the poses of the campaign are found in the
 whole recording.
 """
 
@@ -26,7 +26,7 @@ class RestWatch:
         self.rests = 0
 
     def add(self, values: np.ndarray) -> None:
-        """Add samples of force, and rates where there are gyros about three axes: (n, 3) or (n, 6), SI."""
+        """Add samples of force, and rates if there are gyros about three axes: (n, 3) or (n, 6), SI."""
         self._tail = np.concatenate([self._tail, values])
         width = 2 * self._half + 1
         if len(self._tail) < width:
@@ -41,7 +41,7 @@ class RestWatch:
         self._tail = self._tail[len(self._tail) - 2 * self._half :]
 
     def end(self, missing: bool = False) -> None:
-        """End the rest; where samples are missing, the window as well."""
+        """End the rest; if samples are missing, the window as well."""
         if self.still > static.WINDOW_SECONDS:
             self.rests += not self.repeated
             self._before, self._bias = self._rest[:, :3].mean(axis=0), self._rest[:, 3:].mean(axis=0)

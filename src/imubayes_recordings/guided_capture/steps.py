@@ -42,10 +42,10 @@ class Guidance:
     state : begin, hold, turn, enough, done or ended; of a motion also plan, move and moving.
     seconds, of : held or moved so far, and to be held or moved.
     poses : undisturbed poses of the recording so far; of a motion its parts.
-    up : direction of the body to point up next, (3,), not normalised; None where any serves.
+    up : direction of the body to point up next, (3,), not normalised; None if any serves.
     largest : effect → its largest standard deviation, SI; empty before there are enough poses.
     open : the effects that are not reached.
-    trouble : why the recording so far makes no campaign; empty where it does.
+    trouble : why the recording so far makes no campaign; empty if it does.
     ask : the motion to make next, in words.
     fault : what is wrong with the present motion; empty where nothing is.
     part : the motion that was completed last, in words.

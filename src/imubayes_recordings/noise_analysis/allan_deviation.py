@@ -95,7 +95,7 @@ def _filtered(lag: np.ndarray, filtered: float, exponent: int) -> np.ndarray:
 
 
 def _power_law(lag: np.ndarray, exponent: int) -> np.ndarray:
-    """Return the generalised covariance of power-law noise (eq. 7): |t|^(3 − α), times ln |t| where 3 − α is even."""
+    """Return the generalised covariance of power-law noise (eq. 7): |t|^(3 − α), times ln |t| if 3 − α is even."""
     size = np.abs(lag)
     power = 3 - exponent
     if power % 2:
@@ -116,7 +116,7 @@ class AllanVariance:
     factor : shape (K,), averaging factors m = 1, 2, 4, …
     tau : shape (K,), averaging times, s.
     variance : shape (K,), squared output units.
-    terms : shape (K,), number of differences averaged; fewer than the grid has where samples are missing.
+    terms : shape (K,), number of differences averaged; fewer than the grid has if samples are missing.
     phases : number of values of the running sum.
     """
 
@@ -194,7 +194,7 @@ def _sum_of_squares(record: RunningSum, factor: int) -> tuple[float, int]:
 def _with_holes(
     record: RunningSum, first: int, factor: int, start: np.ndarray, middle: np.ndarray, end: np.ndarray
 ) -> np.ndarray:
-    """Return the differences of means over the samples present, where enough are."""
+    """Return the differences of means over the samples present, if enough are."""
     place = first + np.arange(len(start))
     missing = [record.missing_before(place + shift * factor) for shift in range(3)]
     early, late = (factor - (missing[k + 1] - missing[k]) for k in range(2))

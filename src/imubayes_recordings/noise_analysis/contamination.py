@@ -1,7 +1,7 @@
 """Stretches of a record that are no rest of the sensor: steps on the floor, a lift, a hand on the bench.
 
 They are left out on request: a record that is loud at times may be a sensor that is.  A stretch is one of many equal
-parts of the record.  It is contaminated where the scatter of its samples, or its mean beside those around it, is far
+parts of the record.  It is contaminated if the scatter of its samples, or its mean beside those around it, is far
 beyond what the typical part has; the parts beside it go with it, since a disturbance begins and ends within a part.
 Noise of all kinds that the terms describe is in the typical part as well, slow noise in the scatter of the means.
 """
@@ -33,7 +33,7 @@ class Contamination:
 
 
 def without_contamination(record: RunningSum) -> tuple[RunningSum, Contamination | None]:
-    """Return a record without contaminated stretches, and what they are; None where there are none, or too many."""
+    """Return a record without contaminated stretches, and what they are; None if there are none, or too many."""
     size = max(_SAMPLES, record.samples // _PARTS)
     square, mean = (np.array(each) for each in zip(*_levels(record, size), strict=True))
     known = np.isfinite(square) & (square > 0)

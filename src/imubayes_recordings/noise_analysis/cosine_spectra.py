@@ -57,8 +57,8 @@ class CoarseLevel:
     means : number of block means.
     first, last : shape (K,), orders of the coefficients joined in each bin.
     power : shape (K,), sum of their squares.
-    ramp : shape (K,), coefficient of a ramp of 1 per second; 0 in bins of several coefficients, where it is negligible.
-    coefficient : shape (K,), the coefficient itself where the bin has one.
+    ramp : shape (K,), coefficient of a ramp of 1 per second; 0 in bins of several coefficients, if it is negligible.
+    coefficient : shape (K,), the coefficient itself if the bin has one.
     thinning : mean of the ratio of samples to samples present of the means, at least 1.
     """
 

@@ -1,8 +1,8 @@
 """The band of frequency that the noise terms describe, and what of a record is not to be claimed beside it.
 
-The fit of the terms is tested octave by octave.  Where it fails, the band gives up octaves until the rest is described:
-from above where a filter shapes the spectrum, from below where a drift or a transient does, in the middle where a
-disturbance is too broad for a spectral line.  What the octaves that are left out would have told is withheld: no
+The fit of the terms is tested octave by octave.  If it fails, the band gives up octaves until the rest is described:
+from above if a filter shapes the spectrum, from below if a drift or a transient does, in the middle if a
+disturbance is too broad for a spectral line.  What the octaves that are left out would have shown is withheld: no
 interval and no limit of a term rests on a spectrum that the terms do not describe.
 """
 
@@ -22,7 +22,7 @@ from imubayes_recordings.noise_analysis.term_estimates import BASIC, highest, wi
 
 MISFIT = 0.003  # chance, over all octaves, at which the fit of one is called bad
 LEAST_OCTAVES = 4
-_MOST_OF_IT = 0.5  # part of white noise in the variance of an octave that tells its level
+_MOST_OF_IT = 0.5  # part of white noise in the variance of an octave that determines its level
 _LEAST, _TOLD = 2.33, 3.7  # attenuation in sd from which it is allowed for, and told: chances of 1 % and 1e-4
 _STRONG = 0.2  # attenuation
 _TURNS = 10
@@ -95,7 +95,7 @@ class RollOff:
 
     @property
     def significant(self) -> bool:
-        """Whether it is to be told; a weaker one only widens the interval of white noise."""
+        """Whether it is to be reported; a weaker one only widens the interval of white noise."""
         return self.attenuation > _TOLD * self.sd
 
     @property
@@ -112,7 +112,7 @@ class DescribedBand:
     ----------
     likelihood : of what is left.
     gaps : what is left out, beside spectral lines.
-    roll_off : how a filter attenuates what is left; None where nothing tells of one.
+    roll_off : how a filter attenuates what is left; None if nothing indicates one.
     described : whether the terms describe what is left.
     """
 
@@ -178,7 +178,7 @@ class _Trial:
 def _tried(
     used: tuple[int, ...], likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], known: bool
 ) -> tuple[_Trial, Maximum]:
-    """Return the fit of terms, behind a filter where the record tells of one or it is known, and its maximum."""
+    """Return the fit of terms, behind a filter if the record indicates one or it is known, and its maximum."""
     best, attenuation, roll_off, filtered = highest(likelihood, terms), 0.0, None, likelihood
     for _ in range(_TURNS):
         step, sd, growth = filtered.attenuation_step(best)
@@ -285,7 +285,7 @@ def withheld_terms(
         return dict.fromkeys(NoiseTerm, Cause.CONVERGENCE)
     if not band.described or misfits(octave_fits(band.likelihood, best)):
         return dict.fromkeys(NoiseTerm, Cause.UNDESCRIBED)
-    # A filter and quantisation noise have the same form, so that of one beside the other nothing is told.
+    # A filter and quantisation noise have the same form, so that of one beside the other nothing can be said.
     found = {NoiseTerm.QUANTISATION: Cause.FILTER} if band.filtered or band.roll_off else {}
     if band.cut(Cause.DRIFT):
         found |= dict.fromkeys(SLOW, Cause.DRIFT)

@@ -71,7 +71,7 @@ class NoiseLikelihood:
         left_out: Sequence[tuple[float, float]] = (),
         removed: Sequence[np.ndarray] | None = None,
     ):
-        """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all where it is 0.
+        """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all if it is 0.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class NoiseLikelihood:
     def attenuation_step(self, maximum: Maximum) -> tuple[float, float, float]:
         """Return the change of the attenuation towards its maximum of the likelihood, its sd, and a growth.
 
-        The last is the factor of the uncertainty of white noise where the attenuation is not known.
+        The last is the factor of the uncertainty of white noise if the attenuation is not known.
         """
         derivative = self._derivatives(maximum.terms, maximum.parameters)
         variance = self.variance(maximum)
@@ -247,7 +247,7 @@ class NoiseLikelihood:
         """Return the maximum, by Fisher scoring with damping.
 
         A term that has vanished on the way does not come back by itself, as the derivative with respect to log θ
-        vanishes with it.  Where the likelihood would rise with θ, the term starts again where it begins to matter.
+        vanishes with it.  If the likelihood would rise with θ, the term starts again where it begins to matter.
 
         Parameters
         ----------

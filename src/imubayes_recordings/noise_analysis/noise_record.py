@@ -132,7 +132,7 @@ class StaticNoise(Record):
     """The noise of all static records of a campaign.
 
     Intervals: profile likelihood for the terms (of the ramp a posterior interval), chi-square for the Allan deviations.
-    `serial` is the unit's; empty where the campaign states none.
+    `serial` is the unit's; empty if the campaign states none.
     """
 
     format: int = 1
@@ -155,15 +155,15 @@ def static_noise(
     Parameters
     ----------
     campaign : read from a folder.
-    runs : names of static records; all where empty.
-    shortest_tau : leave out frequencies above 1/(2 `shortest_tau`), s, where a filter shapes the noise.
+    runs : names of static records; all if empty.
+    shortest_tau : leave out frequencies above 1/(2 `shortest_tau`), s, if a filter shapes the noise.
     progress : called with a short text as the work goes on.
     robust : leave out stretches in which the unit did not rest.
 
     Raises
     ------
     InputError
-        where there is no static record, one is too short, or no channel varies.
+        if there is no static record, one is too short, or no channel varies.
     """
     found: list[ChannelNoise] = []
     left_out: list[SilentChannel] = []
@@ -223,7 +223,7 @@ def _of_channel(
     shortest_tau: float,
     robust: bool,
 ) -> ChannelNoise | None:
-    """Return the noise of a channel; None where it is constant but for steps over gaps."""
+    """Return the noise of a channel; None if it is constant but for steps over gaps."""
     _refuse_short(record, shortest_tau, f"run '{run.name}', channel '{channel.name}'")
     variance = allan_variance(record)
     if not variance.variance[0] > 0:
@@ -389,8 +389,8 @@ class NoiseDensity:
 
     Attributes
     ----------
-    white : rad/s/√Hz or m/s²/√Hz; None where unknown.
-    walk : rad/s²/√Hz or m/s³/√Hz; None where unknown.
+    white : rad/s/√Hz or m/s²/√Hz; None if unknown.
+    walk : rad/s²/√Hz or m/s³/√Hz; None if unknown.
     walk_is_limit : whether the walk is an upper limit of 95 %.
     """
 

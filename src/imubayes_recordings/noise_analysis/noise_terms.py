@@ -69,7 +69,7 @@ def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple
 
 @dataclass(frozen=True)
 class Averages:
-    """Consecutive means of `block` samples at `interval` s, `count` of them; samples themselves where block is 1."""
+    """Consecutive means of `block` samples at `interval` s, `count` of them; samples themselves if block is 1."""
 
     count: int
     block: int

@@ -1,4 +1,4 @@
-"""What a record holds beside noise: found by a test of its own each, and taken out or left out.
+"""Contents of a record beside noise: each is found by a test of its own, and subtracted or left out.
 
 Repeated values, outliers, drift with temperature and spectral lines are taken out of the record; octaves of frequency
 that the noise terms do not describe are left out of the fit.  A sudden change stays, and with it the slow terms are not
@@ -9,11 +9,11 @@ The slope is that of generalised least squares on the lowest cosine coefficients
 is left, in turns to the maximum of the likelihood.  Drift that is not needed beside random walk and flicker noise is no
 drift with temperature: two slow records resemble each other by chance.
 
-Values are repeated where a sensor of a lower rate stands in a log of a higher one; it is taken at its own rate.  Held
-values are told from rounding by what follows a jump.  The increments of noise that is rounded to steps have a unimodal
-distribution, whether or not they are correlated: after a jump of two steps or more no change at all is rarer than a
-change by one step up or down.  Held values stay.  Noise within one step makes no such jumps; there only a hold of a
-constant number of samples shows, by changes that all fall on the same place of its cycle.
+Values are repeated if a sensor of a lower rate stands in a log of a higher one; it is taken at its own rate.  Held
+values are distinguished from rounding by what follows a jump.  The increments of noise that is rounded to steps have a
+unimodal distribution, whether or not they are correlated: after a jump of two steps or more no change at all is rarer
+than a change by one step up or down.  Held values stay.  Noise within one step makes no such jumps; there only a hold
+of a constant number of samples shows, by changes that all fall on the same place of its cycle.
 """
 
 import math
@@ -33,7 +33,7 @@ from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
 from imubayes_recordings.noise_analysis.spectral_lines import SpectralLine, without_lines
 from imubayes_recordings.noise_analysis.term_estimates import BASIC, NoiseEstimate, TermEstimate, highest
 
-_LEAST_EVIDENCE = 15.0  # −2 Δ log L; chance 1e-4 of χ²₁, as few coefficients tell the noise beside which it is tested
+_LEAST_EVIDENCE = 15.0  # −2 Δ log L; chance 1e-4 of χ²₁, as few coefficients determine the noise
 _MEANS = 4096  # of the temperature over the record
 _TURNS = 12
 
@@ -50,7 +50,7 @@ class TemperatureDrift:
 def without_temperature(
     record: sums.RunningSum, temperature: sums.RunningSum
 ) -> tuple[sums.RunningSum, TemperatureDrift | None]:
-    """Return a record without its drift with temperature, and the slope; None where there is none.
+    """Return a record without its drift with temperature, and the slope; None if there is none.
 
     Parameters
     ----------
@@ -104,14 +104,14 @@ def _less(record: sums.RunningSum, slope: float, time: np.ndarray, mean: np.ndar
 
 
 _ALPHA = 1e-6  # chance of calling a record held that is not
-_FINEST = 0.01  # quantile of the changes taken for a step where the steps of the log differ
+_FINEST = 0.01  # quantile of the changes taken for a step if the steps of the log differ
 _LONGEST = 64  # samples of a hold of a constant number
 _ON_CYCLE = 0.9  # of the changes, at least, on one place of the cycle
 _REVERSED = 0.2  # of the changes within one step, at least, go back: those of a ramp do not
 _HEAD = 1 << 19  # samples by which repetition is found
 _COMMON = 1e-3  # share of equal neighbouring values from which a long run is taken for several values
 _OFTEN = 0.1  # share of equal neighbouring values at which runs of an irregular length cannot be counted
-_ONE_MORE = 1.5  # samples between long and short repetitions where two clocks beat
+_ONE_MORE = 1.5  # samples between long and short repetitions if two clocks beat
 _SEVERAL = 1.5  # times the usual length: a long run
 
 
@@ -125,7 +125,7 @@ class Repetition:
     shortest, longest : samples of the 5th and the 95th of 100 values.
     interval_s : between values.
     counted : whether each run of equal values is one value, or a known number of them; a coarse log with an irregular
-        repetition does not tell.
+        repetition does not decide.
     """
 
     mean: float
@@ -145,7 +145,7 @@ class _Runs:
 
 
 def at_own_rate(record: sums.RunningSum) -> tuple[sums.RunningSum, Repetition | None]:
-    """Return a record with one sample for each value of the sensor, and how they were repeated; None where not."""
+    """Return a record with one sample for each value of the sensor, and how they were repeated; None if not."""
     if not record.resolution:
         return record, None
     head = _joined(_runs(record, _HEAD))
@@ -242,7 +242,7 @@ def _more(one: int, other: int) -> bool:
 def _values_of_runs(value: np.ndarray, length: np.ndarray, resolution: float) -> tuple[np.ndarray, float, bool]:
     """Return how many values each run has, shape (runs,), the mean samples of one, and whether that is certain.
 
-    One, unless the log is so coarse that neighbouring values are often equal by chance, as values one apart tell, and
+    One, unless the log is so coarse that neighbouring values are often equal by chance, as values one apart show, and
     long runs are no more frequent than that.
     """
     count = np.ones(len(length), dtype=np.int64)
@@ -343,7 +343,7 @@ def examined(record: sums.RunningSum, temperature: sums.RunningSum | None = None
 
 
 def unequal_levels(record: sums.RunningSum, likelihood: NoiseLikelihood, best: Maximum) -> float:
-    """Return by how much the level of noise scatters between parts of a record, as a factor; 1 where as it should.
+    """Return by how much the level of noise scatters between parts of a record, as a factor; 1 if as it should.
 
     Noise that is louder at times, or has heavy tails, scatters more than Gaussian noise of one level.
     """
@@ -380,7 +380,7 @@ def without_rounding(
 ) -> tuple[TermEstimate, bool]:
     """Return white noise less that of rounding to the steps of the log, and whether it is taken out.
 
-    Steps of a counted angle make quantisation noise instead.  Where that is not excluded, the interval holds both.
+    Steps of a counted angle make quantisation noise instead.  If that is not excluded, the interval holds both.
     """
     rounding = record.resolution**2 / 12 * record.interval
     pulses = estimate.of(NoiseTerm.QUANTISATION)

@@ -64,8 +64,8 @@ class RunningSum:
     samples : N, on the uniform grid, the missing ones included; S has N + 1 values.
     interval : sampling interval, s.
     shift : x̃.
-    holes : the missing samples, which add 0 to the sum; None where there are none.
-    resolution : smallest step between values of the samples, by the first half million of them; 0 where all are equal.
+    holes : the missing samples, which add 0 to the sum; None if there are none.
+    resolution : smallest step between values of the samples, by the first half million of them; 0 if all are equal.
     """
 
     def __init__(
@@ -255,7 +255,7 @@ class _Writer:
 
 
 def _resolution(values: np.ndarray) -> float:
-    """Return the smallest step between different values; infinite where there is none."""
+    """Return the smallest step between different values; infinite if there is none."""
     apart = np.diff(np.unique(values))
     apart = apart[apart > _SAME * float(apart.sum())] if len(apart) else apart
     return float(apart.min()) if len(apart) else np.inf
@@ -304,7 +304,7 @@ class OutlyingSamples:
 
 
 def without_outliers(record: RunningSum) -> tuple[RunningSum, OutlyingSamples | None]:
-    """Return a record with its outliers missing, and what they are; None where there are none."""
+    """Return a record with its outliers missing, and what they are; None if there are none."""
     places: list[np.ndarray] = []
     time = size = 0.0
     for first, values in record.chunks():
@@ -334,7 +334,7 @@ def _emptied(record: RunningSum, places: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def sudden_change(record: RunningSum) -> SuddenChange | None:
-    """Return the most striking difference of neighbouring means beyond `THRESHOLD`; None where there is none."""
+    """Return the most striking difference of neighbouring means beyond `THRESHOLD`; None if there is none."""
     found: SuddenChange | None = None
     for first, values, missing, stride in _parts(record):
         factor = 1

@@ -1,13 +1,13 @@
 """The noise terms of a record: which it determines, estimates with intervals, and upper limits for the others.
 
-Which terms a record determines is told by the likelihood-ratio test of each term beside all others (`term_evidence`).
-A term is tested against the best model without it in which every other term is free, present or not: what the others
-can take over is no evidence for it.  A search that drops terms one by one would not do.  Where flicker noise and random
-walk are hard to tell apart, neither is needed beside the other; whichever goes first makes the other significant, and
-the wrong one as often as chance has it.  Such terms stay undetermined, and are named as undecided where the record
-needs one of them.
+The terms that a record determines are found by the likelihood-ratio test of each term beside all others
+(`term_evidence`). A term is tested against the best model without it in which every other term is free, present or not:
+what the others can take over is no evidence for it.  A search that drops terms one by one would not do.  If flicker
+noise and random walk are hard to distinguish, neither is needed beside the other; whichever goes first makes the other
+significant, and the wrong one as often as chance has it.  Such terms stay undetermined, and are named as undecided if
+the record needs one of them.
 
-Gauss–Markov noise is a term only where the record asks for it.  It can follow flicker noise over two decades of
+Gauss–Markov noise is a term only if the record asks for it.  It can follow flicker noise over two decades of
 frequency, so that few records exclude it: it is named as an alternative, not counted against a term.
 
 A term that is not determined is not set to zero: estimates, intervals and limits are those of the likelihood with all
@@ -108,7 +108,7 @@ def _at_time(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: fl
 
 
 def _lost(likelihood: NoiseLikelihood, full: Maximum, left_out: set[NoiseTerm]) -> float:
-    """Return −2 Δ log L of leaving terms out; infinite where none would be left."""
+    """Return −2 Δ log L of leaving terms out; infinite if none would be left."""
     terms = tuple(term for term in full.terms if term not in left_out)
     if not terms:
         return math.inf
@@ -116,7 +116,7 @@ def _lost(likelihood: NoiseLikelihood, full: Maximum, left_out: set[NoiseTerm]) 
 
 
 def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]) -> tuple[NoiseTerm, ...]:
-    """Return the undetermined terms that would do by themselves, all of them if none would, where one is needed."""
+    """Return the undetermined terms that would do by themselves, all of them if none would, if one is needed."""
     open_terms = {term for term in full.terms if term not in determined}
     if not open_terms or _lost(likelihood, full, open_terms) <= _LEAST_EVIDENCE_JOINT[len(open_terms)]:
         return ()
@@ -129,7 +129,7 @@ def _alternatives(
 ) -> Iterator[tuple[NoiseTerm, NoiseTerm]]:
     """Yield the slow terms that Gauss–Markov noise could replace.
 
-    Beside a random walk it is named only where the record prefers a correlation time well within it: a longer one is
+    Beside a random walk it is named only if the record prefers a correlation time well within it: a longer one is
     the random walk.
     """
     for term in (each for each in _SLOW if each in determined):
@@ -155,7 +155,7 @@ class TermEstimate:
     value : estimate; NaN where not determined.
     sd : standard uncertainty: the length of the interval over that of a normal distribution of unit sd.
     low, high : profile-likelihood interval of 95 %.
-    limit : upper limit of 95 % where not determined; NaN otherwise.
+    limit : upper limit of 95 % if not determined; NaN otherwise.
     evidence : −2 Δ log L of leaving the term out.
     maximum : where the likelihood with all terms has its maximum, whether or not that is significant.
     """
@@ -260,7 +260,7 @@ def _unknown(term: NoiseTerm, limit: float, evidence: float, maximum: float = 0.
 def _upper_limit(likelihood: NoiseLikelihood, full: Maximum, place: int) -> float:
     """Return the coefficient above the estimate at which the profile has fallen by the one-sided quantile."""
     level = full.log_likelihood - float(scipy.stats.chi2.isf(2 * (1 - PROBABILITY), 1)) / 2
-    # At zero the likelihood is flat: the search starts where the term begins to matter.
+    # At zero the likelihood is flat: the search starts if the term begins to matter.
     information = float(likelihood.information(full)[place, place])
     start = full.parameters.copy()
     start[place] += max(0.0, -0.5 * math.log(max(information, 1e-300)))
@@ -299,8 +299,8 @@ def _profile(likelihood: NoiseLikelihood, centre: Maximum, place: int, shift: fl
 def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> TermEstimate:
     """Return the ramp, averaged over the random walks that the record allows, which wander off likewise.
 
-    One or two coefficients tell a weak random walk from a ramp, so its best value says little: the posterior of the
-    ramp is a mixture of normal distributions, over a flat prior of K ≥ 0.
+    One or two coefficients distinguish a weak random walk from a ramp, so its best value says little: the posterior of
+    the ramp is a mixture of normal distributions, over a flat prior of K ≥ 0.
     """
     if not likelihood.sees_ramp:
         return _unknown(NoiseTerm.RAMP, math.nan, 0.0)

@@ -252,7 +252,7 @@ def _gyros_by_gravity(
     """Return the biases and scale factors of the gyros with which gravity keeps its direction in every stretch.
 
     Robust least squares of the scatter of carried forces, by differences: first within some windows, then within twice
-    as many, up to a stretch.  What is left of an error of the scale factor would be more than a turn at once.
+    as many, up to a stretch.  The remaining error of the scale factor would be more than a turn at once.
     """
     count = windows.force.shape[1]
     sizes = [count // parts for parts in (32, 16, 8, 4, 2, 1) if count // parts >= _LEAST_TOGETHER] or [count]
@@ -439,7 +439,7 @@ def _changed_axes(
 
 
 def _inconsistent(misfit: np.ndarray, gravity: float, file: str) -> list[Finding]:
-    """Return a finding where gravity, carried by the gyros, has no one direction: axes reversed or exchanged."""
+    """Return a finding if gravity, carried by the gyros, has no one direction: axes reversed or exchanged."""
     angle = float(np.median(np.linalg.norm(misfit[..., :2], axis=-1))) / gravity
     if not angle > np.sin(_INCONSISTENT):
         return []

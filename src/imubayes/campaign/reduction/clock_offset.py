@@ -93,7 +93,7 @@ def _unexplained(table: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.
 
     (x, xx), (y, yy) = moments(table, np.maximum(-lags, 0)), moments(output, np.maximum(lags, 0))
     spread = (xx - x * x / count) * (yy - y * y / count)
-    # Where an overlap is nearly constant, a correlation is noise.
+    # If an overlap is nearly constant, a correlation is noise.
     enough = spread > (0.1 * math.prod((float(table @ table), float(output @ output))) * (count / length) ** 2)
     explained = (both - x * y / count) ** 2 / np.where(enough, spread, 1.0)
     return lags, np.where(enough, np.maximum(1 - explained, _ROUNDING), 1.0)

@@ -94,7 +94,7 @@ def _there_and_back(
 
     Parameters
     ----------
-    steps : times that the steps before and after took, s; NaN or infinite where there is none.
+    steps : times that the steps before and after took, s; NaN or infinite if there is none.
     """
     middle = _HALF * sum(stay)
     reached, left = (_HALF * np.nan_to_num(each, nan=np.inf, posinf=np.inf) for each in steps)

@@ -7,7 +7,7 @@ is therefore a sequence of levels too short to be kept.
 
 Consecutive blocks at one level of rate, of angle at rest and of current form a span.  A command precedes the motion of
 the table, so the ends of a span in which a channel has not settled are removed (`log_survey`); a span in which none
-settles is left out.  Where the temperature is the stimulus, spans are divided into bins short enough for it to be
+settles is left out.  If the temperature is the stimulus, spans are divided into bins short enough for it to be
 constant.
 """
 
@@ -97,7 +97,7 @@ RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enou
 class UnsettledLevel:
     """A level of the stimulus that is left out: its first raw row, its time in s, and the output that is not steady.
 
-    `time` is None in a log without; `channel` is empty where the level is shorter than the settling time.
+    `time` is None in a log without; `channel` is empty if the level is shorter than the settling time.
     """
 
     row: int
@@ -112,7 +112,7 @@ class Dropped:
     Attributes
     ----------
     changing : rows at no level of the stimulus, or at one too short for one.
-    moving : rows in motion, where only rest is wanted.
+    moving : rows in motion, if only rest is wanted.
     settling : rows at the ends of levels, before the outputs were steady.
     unsettled : rows of `levels`, at which an output never became steady.
     """
@@ -126,7 +126,7 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Span:
-    """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` where the table rotated.
+    """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` if the table rotated.
 
     `passing` spans are windows between levels: the rate changes, and follows the angle (`encoder_path`).
     """
@@ -200,7 +200,7 @@ def constant_spans(
 def _settled(
     blocks: BlockSurvey, steady: Steady, first: int, least: int, bench: BenchSettings
 ) -> list[tuple[int, int]]:
-    """Return the steady part of a level that begins at block `first`; nothing where an output does not settle."""
+    """Return the steady part of a level that begins at block `first`; nothing if an output does not settle."""
     begin, end = _after(blocks, first, steady.first, bench.settling), first + steady.last
     return [(begin, end)] if steady.settled and end > begin and _rows(blocks, begin, end) >= least else []
 
@@ -446,7 +446,7 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 def _least_rows(blocks: BlockSurvey, label: np.ndarray) -> int:
     """Return the least number of rows of a level.
 
-    A level lasts `LEAST_SECONDS`.  In a log of slower rows every row in motion is at a level of its own; where levels
+    A level lasts `LEAST_SECONDS`.  In a log of slower rows every row in motion is at a level of its own; if levels
     usually have several rows, those of hardly any are motion.
     """
     if blocks.interval is None:

@@ -80,15 +80,22 @@ class EncoderWindows:
 
     def at(self, chosen: np.ndarray) -> "EncoderWindows":
         """Return chosen windows."""
-        columns = (self.start, self.stop, self.seconds, self.rate, self.derivatives, self.span)
-        return EncoderWindows(*(column[..., chosen] for column in columns), self.lost)
+        return EncoderWindows(
+            self.start[chosen], self.stop[chosen], self.seconds[chosen], self.rate[chosen],
+            self.derivatives[..., chosen], self.span[chosen], self.lost,
+        )  # fmt: skip
 
     @staticmethod
     def joined(parts: list["EncoderWindows"], lost: int) -> "EncoderWindows":
         """Return the windows of several stretches in one."""
-        names = ("start", "stop", "seconds", "rate", "derivatives", "span")
         return EncoderWindows(
-            *(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names), lost
+            np.concatenate([part.start for part in parts]),
+            np.concatenate([part.stop for part in parts]),
+            np.concatenate([part.seconds for part in parts]),
+            np.concatenate([part.rate for part in parts]),
+            np.concatenate([part.derivatives for part in parts], axis=-1),
+            np.concatenate([part.span for part in parts]),
+            lost,
         )
 
 

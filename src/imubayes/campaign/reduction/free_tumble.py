@@ -131,7 +131,7 @@ def reduce_tumble(
     numbers : column → shape (N,), in the units of the file.
     channels : all channels of the campaign, with at least three accelerometers; turns need three gyros.
     gravity : local gravity, m/s².
-    initial_seconds : length of the initial rest, where stated.
+    initial_seconds : length of the initial rest, if stated.
     file : named in errors.
     limits : channel → values at which it is clipped; transitions and poses that hold such samples are left out.
 
@@ -339,7 +339,7 @@ def _notes(
 
 
 def one_axis_note(means: np.ndarray) -> list[str]:
-    """Return a note where static poses, (n, 3), differ by turns about one axis of the body, with what stays open."""
+    """Return a note if static poses, (n, 3), differ by turns about one axis of the body, with what stays open."""
     ups = means / np.linalg.norm(means, axis=1, keepdims=True)
     squares, axes = np.linalg.eigh(ups.T @ ups / len(ups))
     if squares[0] > _ONE_AXIS:
@@ -353,7 +353,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
 
 
 def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: str) -> list[Finding]:
-    """Return a finding where |f| of static poses, shape (n, 3) in m/s², is far from g."""
+    """Return a finding if |f| of static poses, shape (n, 3) in m/s², is far from g."""
     slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
     if static.LEAST_G < slope < static.MOST_G:
         return []

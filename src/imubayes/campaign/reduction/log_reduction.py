@@ -1,6 +1,6 @@
 """Reduction of a raw log to rows, with notes on what was averaged and what was left out.
 
-Spans come from the `segment` column or from other label columns where there are any: consecutive rows with the same
+Spans come from the `segment` column or from other label columns if there are any: consecutive rows with the same
 label form a span, and rows with an empty label are left out.  Means that a clipped channel spoils are left out, because
 a sample at the limit says only that the input was beyond.
 """
@@ -101,7 +101,7 @@ def reduce_log(
     reduction : how the procedure wants its logs reduced.
     rows : number of raw rows.
     blocks : its survey.
-    labelled : spans from the `segment` column, where there is one.
+    labelled : spans from the `segment` column, if there is one.
     limits : channel → values at which it is clipped; means that hold such samples are left out.
     bench : settings of the table.
     transitions : whether what lies between spans of constant stimulus is used as well, in windows that follow the angle

@@ -37,7 +37,7 @@ class BlockSurvey:
     mean : column → mean over the non-empty cells, NaN where all are empty.
     low, high : stimulus column → minimum and maximum.
     first, last : time and angle of the first and last row.
-    interval : sampling interval, s; None where the log has no time.
+    interval : sampling interval, s; None if the log has no time.
     """
 
     start: np.ndarray

@@ -4,8 +4,8 @@ In every static pose the calibrated force has magnitude g, whatever the attitude
 and an offset) are estimated by Gauss–Newton iteration with Huber weights, which bound the influence of a disturbed
 pose.  With fewer than 12 poses the matrix is diagonal, with fewer than 8 nothing is fitted.
 
-A pose is disturbed where its |f| differs from that which the calibration of the others predicts, by Student's t with
-their degrees of freedom; the scatter is theirs, or that within the poses where this is larger.  The diagonal matrix
+A pose is disturbed if its |f| differs from that which the calibration of the others predicts, by Student's t with
+their degrees of freedom; the scatter is theirs, or that within the poses if this is larger.  The diagonal matrix
 leaves out misalignments, which are no scatter: fewer than 12 poses are not judged.
 """
 
@@ -21,7 +21,7 @@ HUBER = 1.5  # robust standard deviations
 FALSE_ALARM = 1e-3
 MOST_DISTURBED = 1 / 3
 ALL = 9
-# Of the best told direction: with less a pose would be levelled by noise.
+# Of the best determined direction: with less a pose would be levelled by noise.
 _LEAST_TOLD = 0.01
 # Numbers of disturbed poses that are all tried, and the logarithm of the least level that a double holds.
 _EVERY, _LEAST_LOG = 40, -690.0
@@ -56,7 +56,7 @@ class MagnitudeFit:
 
     @property
     def judges(self) -> bool:
-        """Whether there are enough poses to tell a disturbed one by |f| = g."""
+        """Whether there are enough poses to identify a disturbed one by |f| = g."""
         return len(self.residual) >= LEAST_TO_JUDGE
 
 
@@ -151,7 +151,7 @@ def _least_squares(values: np.ndarray, force: np.ndarray, gravity: float) -> tup
 
 
 def _solved(jacobian: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the least-squares solution without the directions that the poses hardly tell, (parameters,)."""
+    """Return the least-squares solution without the directions that the poses hardly determine, (parameters,)."""
     size = np.linalg.norm(jacobian, axis=0) + 1e-300
     size[:-3] = size[:-3].max()
     size[-3:] = size[-3:].max()

@@ -3,7 +3,7 @@
 The record is divided into steps of equally many samples, several steps into a window, several windows into a stretch
 from one pose to the next.  A row is the mean of the samples of a window.  The model knows the attitude at the ends of
 steps only: the weights of these instants are such that they average every polynomial in time up to the fourth degree
-as the samples do, so that nothing is lost where the unit turns by half a radian within a window.
+as the samples do, so that nothing is lost if the unit turns by half a radian within a window.
 """
 
 import math

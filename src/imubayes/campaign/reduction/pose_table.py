@@ -50,7 +50,7 @@ def reduce_means(
 
     Parameters
     ----------
-    numbers : column → shape (R,), in the units of the file, with `samples`, and `<channel>_sd` where recorded.
+    numbers : column → shape (R,), in the units of the file, with `samples`, and `<channel>_sd` if recorded.
     channels : all channels of the campaign, with at least three accelerometers.
     gravity : local gravity, m/s².
     file : named in errors.
@@ -111,8 +111,9 @@ def _merged(
 ) -> dict[str, np.ndarray]:
     """Return the columns of some poses with the information of all poses of about the same direction.
 
-    A pose of unknown attitude tells |f| alone.  Each chosen pose keeps its direction; its magnitude becomes the mean of
-    the residuals |f| − g of its group, which the calibration by |f| = g leaves, and its samples are those of the group.
+    A pose of unknown attitude determines |f| alone.  Each chosen pose keeps its direction; its magnitude becomes the
+    mean of the residuals |f| − g of its group, which the calibration by |f| = g leaves, and its samples are those of
+    the group.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -
 
 
 def _refuse_turning(rate: np.ndarray, file: str) -> None:
-    """Raise InputError where rows, with rates (n, 3) in rad/s, are no poses at rest."""
+    """Raise InputError if rows, with rates (n, 3) in rad/s, are no poses at rest."""
     if not len(rate):
         return
     usual = np.median(rate, axis=0)

@@ -96,7 +96,7 @@ WINDOW_SECONDS = 1.0
 LEAST_POSE_SECONDS = 0.8
 QUIET_SHARE = 0.05  # this share of the windows, those of least variance, is assumed to be at rest
 INITIAL_RATIO = 20.0  # variance ratio to the quietest windows at which the initial rest ends
-TURNING_SECONDS = 0.1  # window in which the gyros tell turning from noise, of at least
+TURNING_SECONDS = 0.1  # window in which the gyros distinguish turning from noise, of at least
 TURNING_SAMPLES = 10
 TURNING_RATIO = 3.0  # mean square of the rate, in medians over the rest, at which the unit turns
 MOST_ROTATION = np.deg2rad(2.0)
@@ -328,7 +328,7 @@ def record(
     Parameters
     ----------
     numbers : column → shape (N,), in the units of the file.
-    initial_seconds : length of the initial rest, where stated.
+    initial_seconds : length of the initial rest, if stated.
     file : named in errors.
 
     Raises
@@ -395,7 +395,7 @@ _SEEN = 0.1  # share of a jump that the gyros see at least, if the unit turned
 
 
 def broken_turn(recording: Recording, start: int, stop: int) -> str:
-    """Return why the gyros do not show the turn from one sample to another in full; empty where they do.
+    """Return why the gyros do not show the turn from one sample to another in full; empty if they do.
 
     Samples may be missing in it, or the turn itself may have been cut out of the recording: the direction of f jumps
     between two samples, and the gyros see nothing of it.

@@ -17,7 +17,7 @@ _DEGREE = 3  # of the polynomial in time
 
 
 def score_with_drift(model: ErrorModel, view: RunView, rest: NormalTerms) -> float:
-    """Return −2 log evidence where the outputs of one run drift, each channel by the course that it supports best.
+    """Return −2 log evidence if the outputs of one run drift, each channel by the course that it supports best.
 
     Parameters
     ----------

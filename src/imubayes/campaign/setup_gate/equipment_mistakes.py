@@ -53,7 +53,7 @@ class Scope:
 
 
 class Concealed(Flag):
-    """Where plausible errors of a poor unit conceal a mistake, so that it shows in a steady unit only."""
+    """If plausible errors of a poor unit conceal a mistake, so that it shows in a steady unit only."""
 
     NEVER = 0
     BY_INPUTS = auto()  # of other directions, levels or runs
@@ -67,7 +67,7 @@ class Mistake(ABC):
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
     that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
     less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the
-    size of most evidence is the best, not that of least misfit.  The search for it ends where twice the log likelihood
+    size of most evidence is the best, not that of least misfit.  The search for it ends if twice the log likelihood
     changes by less than `settled`: a hundredth is a tenth of a standard deviation of the size.
 
     `gross` is whether it is looked for where the outputs are beyond plausible errors.  `of_doubted_runs` is in how many
@@ -107,7 +107,7 @@ class Mistake(ABC):
         """Return the view at a place as it would be without the mistake of that size."""
 
     def rescaled(self, view: RunView) -> float:
-        """Return log |det| of the change of the outputs of a run, for their density; 0 where they only move."""
+        """Return log |det| of the change of the outputs of a run, for their density; 0 if they only move."""
         return 0.0
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
@@ -136,7 +136,7 @@ class Mistake(ABC):
         return "a bias that changes from run to run"
 
     def like(self, other: "Mistake") -> bool:
-        """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
+        """Return whether the outputs do not distinguish another mistake, although of more evidence, from this one.
 
         This one is named first, unless the other is like it as well.
         """
@@ -154,17 +154,17 @@ class Mistake(ABC):
         return found
 
     def grid(self) -> tuple[float, ...]:
-        """Return the sizes between which the best one is found; empty where there is none to find."""
+        """Return the sizes between which the best one is found; empty if there is none to find."""
         return self.sizes
 
     @property
     def record(self) -> str:
-        """The recorded quantity whose value is open, or has a name; empty where no value is open."""
+        """The recorded quantity whose value is open, or has a name; empty if no value is open."""
         return ""
 
     @property
     def point(self) -> float | None:
-        """The size of the open value at which a named mistake is; None where its evidence alone tells."""
+        """The size of the open value at which a named mistake is; None if its evidence alone decides."""
         return None
 
     def named(self, size: float) -> bool:
@@ -176,13 +176,13 @@ class Mistake(ABC):
 
         Parameters
         ----------
-        size, sd : of the mistake, and its standard deviation; 0 where there is none.
+        size, sd : of the mistake, and its standard deviation; 0 if there is none.
         """
         return None
 
     @property
     def variant(self) -> str:
-        """What tells the mistake from others of its kind and scope that are said beside it."""
+        """What distinguishes the mistake from others of its kind and scope that are said beside it."""
         return ""
 
     @property
@@ -316,7 +316,7 @@ class TableZero(Mistake):
         return tables_and_runs(views, has_angles)
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
-        """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
+        """Return right angles, by which a zero is off most often; a loose mounting does not determine it exactly."""
         return RIGHT_ANGLES
 
     def like(self, other: Mistake) -> bool:
@@ -324,7 +324,7 @@ class TableZero(Mistake):
         return isinstance(other, TimeShift) and other.whole and other.scope.runs == self.scope.runs
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
-        """Return the angles of a run; a table and a mounting are corrected where they are stated."""
+        """Return the angles of a run; a table and a mounting are corrected if they are stated."""
         if self.scope.section != "run":
             return None
         run = next(run for run in campaign.runs if run.name == self.scope.name)
@@ -399,7 +399,7 @@ class TableAzimuth(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return every table of a stated azimuth, where there are gyros."""
+        """Return every table of a stated azimuth, if there are gyros."""
         known = (each for each in tables_of(views) if campaign.tables[each.name].azimuth_known)
         return tuple(known) if campaign.of_kind("gyro") else ()
 
@@ -419,7 +419,7 @@ def _is_static(view: RunView) -> bool:
 
 @dataclass(frozen=True)
 class TimeShift(Mistake):
-    """The outputs are shifted against the columns of the table, by a size in rows; positive where they lag.
+    """The outputs are shifted against the columns of the table, by a size in rows; positive if they lag.
 
     The shift is `whole` between static rows, between which there is no stimulus to interpolate.
     """
@@ -439,7 +439,7 @@ class TimeShift(Mistake):
             yield cls(Scope("run", views[k].name, (k,)), _is_static(views[k]))
 
     def possible(self, size: float) -> bool:
-        """Return whether there is a shift at all: it is told to half a row, and to a row between static rows."""
+        """Return whether there is a shift at all: it is reported to half a row, and to a row between static rows."""
         return abs(size) >= (0.5 if self.whole else 0.25)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:

@@ -2,7 +2,7 @@
 
 Standard deviations are per grade of the unit, in SI: the default priors of the catalogue of effects, widened to the
 largest values of data sheets (see `imubayes.foundations.campaign_data`), since the model of the fit is not known here.
-What a linear model leaves out, nonlinearity and cross coupling above all, is a share of the input.  Normal equations
+Nonlinearity, cross coupling and all else that a linear model omits is a share of the input.  Normal equations
 are of one run or of several at once.
 """
 
@@ -60,7 +60,7 @@ class Steadiness:
         return Steadiness(self.rows * rows, self.runs * runs, self.noise)
 
     def poor(self) -> "Steadiness":
-        """Return the steadiness of a poor unit, or less where channels show less."""
+        """Return the steadiness of a poor unit, or less if channels show less."""
         return Steadiness(np.maximum(self.rows, 1.0), np.maximum(self.runs, 1.0))
 
 
@@ -80,7 +80,7 @@ _ACCELEROMETER = {
 }
 G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
-data sheet of a grade tells it within a factor of ten."""
+data sheet of a grade determines it within a factor of ten."""
 G_SQUARED = 10 * _DEG_H
 """Standard deviation of each term quadratic in g of a gyro, rad/s per g²."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}

@@ -51,7 +51,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.numerics import cross_matrices
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
-# the converter's temperature (as many as of the sensor's, or a curve would tell that the thermometers are exchanged);
+# the converter's temperature (as many as of the sensor's, or a curve would show that the thermometers are exchanged);
 # of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes the same pattern.
 _OWN, _SQUARES = 13, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 _OF_TEMPERATURE = (4, 5, 6, 10, 11, 12)
@@ -278,7 +278,7 @@ class ErrorModel:
         return changed(view, body_to_table=view.body_to_table @ mounted.swapaxes(1, 2)), tilted
 
     def _at_centre(self, place: int | None) -> np.ndarray:
-        """Return the rotation of a mounting or a table at the centre; none where there is no such place."""
+        """Return the rotation of a mounting or a table at the centre; none if there is no such place."""
         if place is None or self.centre is None:
             return np.eye(3)
         if place not in self.rotated:

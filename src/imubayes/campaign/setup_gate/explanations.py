@@ -13,7 +13,7 @@ from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, Mistake, S
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
 ALIKE = 0.5
-"""Share of the gain of a mistake from which on one that is like it is told beside it."""
+"""Share of the gain of a mistake from which on one that is like it is reported beside it."""
 NAMED_WITHIN = 12.0
 """How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
 _SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
@@ -28,7 +28,7 @@ class Explanation:
     misfit : per output with the correction.
     rival : gain of what passes for the mistake in a valid set-up.
     stopping : support beyond which the mistake stops a fit.
-    uncertainty : standard deviation of the size; 0 where there is none.
+    uncertainty : standard deviation of the size; 0 if there is none.
     """
 
     mistake: Mistake
@@ -46,7 +46,7 @@ class Explanation:
 
     @property
     def rivalled(self) -> bool:
-        """Whether the outputs do not tell the mistake from what passes for it in a valid set-up."""
+        """Whether the outputs do not distinguish the mistake from what passes for it in a valid set-up."""
         return self.rival > 0 and self.gain < self.rival + DECISIVE
 
 
@@ -70,10 +70,10 @@ def alike_in_support(found: Sequence[Explanation]) -> Iterator[list[Explanation]
 
 
 def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
-    """Return explanations, of each record those with a name where they do as well as its open value, else the latter.
+    """Return explanations, of each record those with a name if they do as well as its open value, else the latter.
 
     A name is a point on the open value: a wrong one is not forced upon a value that is near it.  Of names whose points
-    are near each other that nearest to the value is told.
+    are near each other that nearest to the value is reported.
     """
     records: dict[str, list[Explanation]] = {}
     for each in found:
@@ -89,7 +89,7 @@ def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
 
 
 def _not_told(value: Explanation, names: Sequence[Explanation]) -> list[Explanation]:
-    """Return which of an open value and the names of its record are not to be told."""
+    """Return which of an open value and the names of its record are not to be distinguished."""
     names = [each for each in names if _holds(each.mistake, {*value.mistake.scope.runs})]
     nearest = min((_apart(each, value) for each in names), default=math.inf)
     near = [_apart(each, value) <= min(nearest + _SAME_POINT, 1.0) for each in names]
@@ -100,7 +100,7 @@ def _not_told(value: Explanation, names: Sequence[Explanation]) -> list[Explanat
 
 
 def _holds(named: Mistake, runs: set[int]) -> bool:
-    """Whether a named mistake is one of the record of these runs, and of others at most where its evidence tells."""
+    """Whether a named mistake is one of the record of these runs, and of others at most if its evidence decides."""
     return {*named.scope.runs} == runs or (named.point is None and {*named.scope.runs} > runs)
 
 

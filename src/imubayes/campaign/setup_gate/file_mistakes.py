@@ -27,7 +27,7 @@ class OtherUnit(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return each run whose input is stated, where others tell what the unit is like.
+        """Return each run whose input is stated, if others determine what the unit is like.
 
         A reference gyro has errors of its own.
         """

@@ -39,9 +39,9 @@ class Judgement:
 
     Attributes
     ----------
-    mistakes : each with its equally good explanations, the best first; empty where there is none.
+    mistakes : each with its equally good explanations, the best first; empty if there is none.
     misfit : of the set-up as stated, per output.
-    unexplained : run → misfit per output of the runs that disagree, where no mistake explains it.
+    unexplained : run → misfit per output of the runs that disagree, if no mistake explains it.
     nearest : a mistake whose correction takes most of the misfit away, and does not let the campaign agree.
     """
 
@@ -56,7 +56,7 @@ def judge_setup(campaign: Campaign) -> Judgement:
     search = Search(campaign)
     if not search.views or not search.total.values:
         return Judgement()
-    # Of tumbles a steady gyro tells one mistake from another where a poor one does not.
+    # Of tumbles a steady gyro distinguishes one mistake from another if a poor one does not.
     tumbled = feels_the_earth_alone(campaign, search.views)
     tumbled = tumbled and not list(RatesMissing.suspected(campaign, search.views))
     ordinary = search.agrees

@@ -85,7 +85,7 @@ def places_of_kinds(campaign: Campaign) -> tuple[list[int], list[int]]:
 
 
 def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tuple[Scope, int]]:
-    """Yield each run with each of several channels in it, where other runs tell what its outputs are."""
+    """Yield each run with each of several channels in it, if other runs determine what its outputs are."""
     channels = [k for k, each in enumerate(campaign.channels) if each.kind != "angle"]
     if len(channels) < 2 or len(views) < 3:
         return
@@ -171,7 +171,7 @@ _RANGE = 1e3
 
 @dataclass(frozen=True)
 class ChannelApart(Mistake):
-    """The outputs of a channel in a run are those of anything else, and tell nothing."""
+    """The outputs of a channel in a run are those of anything else, and show nothing."""
 
     channel: str
     place: int
@@ -190,7 +190,7 @@ class ChannelApart(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel of several in every run, where other runs tell what its outputs are."""
+        """Yield every channel of several in every run, if other runs determine what its outputs are."""
         for scope, k in _single_outputs(campaign, views):
             rows = int(np.isfinite(views[scope.runs[0]].observed[:, k]).sum())
             yield cls(scope, campaign.channels[k].name, k, rows)
@@ -205,7 +205,7 @@ class ChannelApart(Mistake):
 def repeats(campaign: Campaign, run: int, channel: int) -> str:
     """Return the name of the channel whose outputs a channel repeats in a run, and its own if they hold one value.
 
-    Empty where they do neither.
+    Empty if they do neither.
     """
     outputs = campaign.runs[run].observed
     own = outputs[:, channel]

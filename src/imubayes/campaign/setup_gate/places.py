@@ -15,7 +15,7 @@ class Places:
 
     Attributes
     ----------
-    ledger : of the campaign file; without lines where there is none.
+    ledger : of the campaign file; without lines if there is none.
     tables : run → its table, for messages.
     files : run → its file, as the campaign states it.
     """

@@ -1,4 +1,4 @@
-"""The rates of a table that were recorded without their signs, or not at all: the gyros tell them row by row.
+"""The rates of a table that were recorded without their signs, or not at all: the gyros determine them row by row.
 
 The open value of a column of rates is a rate for each row.  Points with a name are the recorded rates with the signs
 that the gyros show, or in another order, and a column that holds nothing but zeros.  The rates of a reference gyro may
@@ -19,7 +19,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.wrong_records import RATE_UNITS, SCALE_OF_KIND
 
 _LEAST_RATE = math.radians(0.5)  # rad/s, of rows that count as turning
-_LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that tells its rate
+_LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that determines its rate
 _SAME_FACTOR = 0.02  # relative difference of units that are one
 _AS_RECORDED = 0.2  # relative difference of rates that are alike but for the sign
 
@@ -182,7 +182,7 @@ class RatesMissing(Mistake):
 
     @property
     def unlikelihood(self) -> float:
-        """Every rate is chosen by the outputs: among as many as a gyro tells apart over its range."""
+        """Every rate is chosen by the outputs: among as many as a gyro distinguishes over its range."""
         return 2 * math.log(1e4) * sum(map(len, self.rates))
 
     @classmethod

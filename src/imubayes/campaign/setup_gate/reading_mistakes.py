@@ -6,7 +6,7 @@ feel the Earth turn.
 Nominal scale factors, and rates of a table, may be wrong by a factor that is no unit's.  An input that is too small
 everywhere is imitated by a response that is: the accelerometer on an axis raised to 60° reads half of what it would on
 a horizontal one, as one of half the nominal scale factor does.  The errors of the outputs stay as large as they are, so
-that a smaller scale factor gains nothing over another input but what the outputs tell.
+that a smaller scale factor gains nothing over another input but what the outputs determine.
 """
 
 import itertools
@@ -52,7 +52,7 @@ def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
 
 
 DECISIVE_LATITUDE = 8.0
-"""Support from which the sign of the latitude is named where several gyros show it: a single suspected mistake.  Up to
+"""Support from which the sign of the latitude is named if several gyros show it: a single suspected mistake.  Up to
 `DECISIVE` it is a warning."""
 LEAST_LATITUDE = math.radians(15.0)
 
@@ -67,7 +67,7 @@ class LatitudeSign(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return the whole campaign, where there are gyros."""
+        """Return the whole campaign, if there are gyros."""
         return [all_runs(range(len(views)))] if _feels_the_earth(campaign, views) and campaign.site.latitude else []
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -75,7 +75,7 @@ class LatitudeSign(Mistake):
         return changed(views[place], latitude=-views[place].latitude)
 
     def bar(self, campaign: Campaign) -> float:
-        """Return less than usual where several gyros show it."""
+        """Return less than usual if several gyros show it."""
         return DECISIVE_LATITUDE if len(campaign.of_kind("gyro")) > 1 else DECISIVE
 
 
@@ -93,12 +93,12 @@ class LatitudeValue(Mistake):
 
     @property
     def variant(self) -> str:
-        """The hemisphere: a gyro that turns about the vertical does not tell it."""
+        """The hemisphere: a gyro that turns about the vertical does not determine it."""
         return "north" if self.north else "south"
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield both hemispheres where gyros turned or sat in several mountings: else biases pass for Earth rate."""
+        """Yield both hemispheres if gyros turned or sat in several mountings: else biases pass for Earth rate."""
         turned = feels_the_earth_alone(campaign, views) or any(turns_through(view) for view in views)
         if _feels_the_earth(campaign, views) and (turned or len({view.mounting for view in views}) > 2):
             for north in (True, False):
@@ -129,7 +129,7 @@ _LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
 def driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bool:
     """Whether a channel has an input from which its scale factor shows.
 
-    Without one a large factor would only make the errors of the channel small.  Where all feel the Earth rate alone,
+    Without one a large factor would only make the errors of the channel small.  If all feel the Earth rate alone,
     that is the input, if it changes: a constant one is no other than a bias.
     """
     felt = []
@@ -283,7 +283,7 @@ class TableRates(_Factor):
         return [scope for scope in tables_of(views) if any(turns(views[k]) for k in scope.runs)]
 
     def like(self, other: Mistake) -> bool:
-        """Return whether another mistake is the nominal scale factor of gyros, which only the Earth rate tells."""
+        """Return whether another mistake is the nominal scale factor of gyros, which only the Earth rate determines."""
         return isinstance(other, NominalScale) and other.of_gyros
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -405,8 +405,8 @@ class RateUnit(Mistake):
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a gain of gyros in the same turning runs that does the same.
 
-        Only the Earth rate, biases and the lever arms of accelerometers tell the two, all of them loosely.  A gain of
-        one gyro is alike where it alone sees the rate.
+        Only the Earth rate, biases and the lever arms of accelerometers distinguish the two, all of them loosely.  A
+        gain of one gyro is alike if it alone sees the rate.
         """
         if isinstance(other, NominalScale):
             return self.scope.section == "table" and other.of_gyros

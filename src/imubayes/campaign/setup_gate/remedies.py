@@ -18,7 +18,7 @@ from imubayes.foundations.errors import Issue
 
 
 def _degrees(angle: float) -> float:
-    """Return an angle in deg as one would state it: whole where it is nearly that, else to a tenth."""
+    """Return an angle in deg as one would state it: whole if it is nearly that, else to a tenth."""
     whole = round(angle)
     return float(whole) if abs(angle - whole) < 0.15 else round(angle, 1)
 
@@ -30,7 +30,7 @@ def _folded(angle: float) -> float:
 
 
 def _uncertainty(found: Explanation) -> str:
-    """Return the uncertainty of a size in words, where it has one worth saying."""
+    """Return the uncertainty of a size in words, if it has one worth saying."""
     degrees = math.degrees(found.uncertainty)
     return f" (± {degrees:.1f} deg)" if degrees >= 0.05 else ""
 

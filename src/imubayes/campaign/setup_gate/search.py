@@ -55,7 +55,7 @@ _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: 
 
 type Identity = tuple[bytes | str | float, ...]
 type Key = tuple[int, Identity]
-"""The place of a run, and what tells its corrected view from others."""
+"""The place of a run, and the identity of its corrected view."""
 
 
 class Search:
@@ -101,7 +101,7 @@ class Search:
         return self.misfit < ORDINARY_MISFIT and largest < ORDINARY_ERROR
 
     def several_mistakes(self, most: int, tried: int = TRIED_FIRST) -> list[tuple[Explanation, ...]]:
-        """Return the fewest mistakes that explain the outputs together; none where so many do not.
+        """Return the fewest mistakes that explain the outputs together; none if so many do not.
 
         Where none does, the `nearest` is one whose correction takes most of the misfit away, and leaves too much.
 
@@ -142,7 +142,7 @@ class Search:
         return found.misfit < ORDINARY_MISFIT or left < (1 - LEAST_SHARE) * excess
 
     def _verified(self, found: Sequence[Explanation]) -> list[Explanation]:
-        """Return the likeliest explanations whose correction, made in the campaign, lets it agree.
+        """Return the most probable explanations whose correction, made in the campaign, lets it agree.
 
         A correction that takes away nearly all of a gross misfit may leave a gross one: it is not the mistake.  One
         that leaves a unit or a table poorer than its grade is taken if no other is left.
@@ -230,7 +230,7 @@ class Search:
         return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in both]
 
     def _apart(self, mistake: OtherUnit) -> tuple[float, float]:
-        """Return the gain and the misfit per output where the run is of another unit."""
+        """Return the gain and the misfit per output if the run is of another unit."""
         (place,) = mistake.scope.runs
         fits = [self.model.fit(each) for each in (self.total - self.terms[place], self.terms[place])]
         gain = self.stated - sum(float(each.score.min()) for each in fits)
@@ -247,10 +247,10 @@ class Search:
         return float(np.abs(self.model.errors(self._corrected([SizedMistake(mistake, size)])[0])).max())
 
     def _best_sizes(self, mistakes: Sequence[Mistake]) -> list[float]:
-        """Return the size of least misfit of each mistake, 0 where it has none, by parabolas about the best of a grid.
+        """Return the size of least misfit of each mistake, 0 if it has none, by parabolas about the best of a grid.
 
         The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum; terms quadratic
-        in g make it two, and every basin is tried.  Where the Earth rate alone tells the size, a large g-sensitivity
+        in g make it two, and every basin is tried.  If the Earth rate alone determines the size, a large g-sensitivity
         passes for its vertical part, and the evidence decides.
         """
         sized = [(k, each) for k, each in enumerate(mistakes) if each.grid()]
@@ -292,7 +292,7 @@ class Search:
     def rival(self, mistake: Mistake) -> float:
         """Return −2 log evidence of what passes for a mistake in the temperatures of the set-up as stated.
 
-        That is a unit whose outputs hardly follow the temperature or, where a single run is concerned, biases and scale
+        That is a unit whose outputs hardly follow the temperature or, if a single run is concerned, biases and scale
         factors of that run unlike those of others.
         """
         rivals = [self.stated if isinstance(mistake, OtherUnit) else self.model.score(self.total, compensated=True)]
@@ -305,7 +305,7 @@ class Search:
         return float(min(rivals))
 
     def with_drift(self, mistake: TemperatureReversed) -> tuple[float, float]:
-        """Return −2 log evidence where the outputs of the run of a mistake drift: as stated, and corrected."""
+        """Return −2 log evidence if the outputs of the run of a mistake drift: as stated, and corrected."""
         (place,) = mistake.scope.runs
         stated, rest = self.views[place], self.total - self.terms[place]
         corrected = mistake.corrected(self.views, place, 0.0)
@@ -382,7 +382,7 @@ class Basin:
         return self.best - self.step, self.best + self.step
 
     def vertex(self) -> tuple[float]:
-        """Return the minimum of the parabola, the best size where it has none."""
+        """Return the minimum of the parabola, the best size if it has none."""
         low, middle, high = (self.tried[size] for size in (self.best - self.step, self.best, self.best + self.step))
         bend = low - 2 * middle + high
         return (self.best + self.step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else self.best,)
@@ -403,7 +403,7 @@ def minima(tried: dict[float, float]) -> list[float]:
 
 
 def _identity(view: RunView, stated: RunView) -> Identity:
-    """Return what tells a corrected view from others of the same run."""
+    """Return what distinguishes a corrected view from others of the same run."""
     found: list[bytes | str | float] = []
     as_stated = vars(stated)
     for name, value in vars(view).items():

@@ -1,4 +1,4 @@
-"""What a run is said to be, as a view that set-up mistakes change, with the motion of the outer axes of its table.
+"""The recorded facts of a run, as a view that set-up mistakes change, with the motion of the outer axes of its table.
 
 A `RunView` holds the nominal set-up of one run beside its outputs.  A suspected mistake is a changed view: another
 table angle, another mounting, other units of a column.  The nominal input follows from the view alone.  On a table of
@@ -103,23 +103,23 @@ class RunView:
 
     Attributes
     ----------
-    name, procedure, table, mounting : as in the campaign; no table where rows give directions.
+    name, procedure, table, mounting : as in the campaign; no table if rows give directions.
     latitude, gravity : of the site.
     azimuth, elevation : of the axis of the table.
-    unknown_level_rate : standard deviation of the level Earth rate about that of the azimuth, rad/s; 0 where it is
+    unknown_level_rate : standard deviation of the level Earth rate about that of the azimuth, rad/s; 0 if it is
         stated.
     body_to_table : shape (3, 3).
-    attitude : shape (R, 3, 3), body → local level, where rows give directions; None on a table.
+    attitude : shape (R, 3, 3), body → local level, if rows give directions; None on a table.
     angle : shape (R,), of the table; NaN for means over whole turns.
     span : shape (R,), swept during a row.
     rate : shape (R,), of the table.
     reference : shape (R, 3), rate of a reference gyro in body axes; None without one.
-    time : shape (R,); row numbers where no time was recorded.
+    time : shape (R,); row numbers if no time was recorded.
     temperatures : name of a recorded temperature → shape (R,), °C.
     observed : shape (R, C), output units.
     samples : shape (R,).
     response : shape (C,), of each channel over that of its nominal scale factor.
-    outer : the axes that carry that of the table; None where there are none.
+    outer : the axes that carry that of the table; None if there are none.
     zero : reading of the angle of the table at its zero, from which `angle` is counted.
     axes : shape (C, 3, 3), of the channels.
     """

@@ -40,7 +40,7 @@ from imubayes.foundations.campaign_data import Campaign
 FACTORS = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 """Factors of offsets of runs, and of what a linear model leaves out, that are tried."""
 LOWER_NOISE = (1.0, 0.6, 0.3)
-"""Noise of a channel over what the campaign states that is tried where no rows repeat a position."""
+"""Noise of a channel over what the campaign states that is tried if no rows repeat a position."""
 MORE_NOISE = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 """The same that is tried in place of a mistake in the set-up."""
 _LEAST_DIFFERENCES = 8
@@ -105,7 +105,7 @@ def _noise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the noise of each channel over the stated one, and whether successive rows in one position show it.
 
-    Half the median square of the differences of their residuals over that of a normal deviate; 1 where these are few.
+    Half the median square of the differences of their residuals over that of a normal deviate; 1 if these are few.
     """
     found: list[np.ndarray] = []
     for run, view in zip(seen, views, strict=True):
@@ -133,7 +133,7 @@ LEVELS = (
     (1.0, 0.03, 5),
 )  # fmt: skip
 """Degrees of steadiness: factors of what rows leave out and of offsets of runs, to what each channel shows by itself,
-and the degree below, where a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
+and the degree below, if a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
 look less steady than they are."""
 LEVELS_OF_TUMBLES = ((1.0, 1.0, 0), (0.3, 0.3, 0), (0.1, 0.1, 1), (0.03, 0.03, 2), (0.01, 0.01, 3))
 """The same, to a poor unit, of gyros that feel the Earth rate alone: few rows show no steadiness of their own.  That a
@@ -178,7 +178,7 @@ def _concealed(campaign: Campaign, search: Search, views: Sequence[RunView]) -> 
 def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
     """Return those of possible size and about the most support.
 
-    What is too weak to be said is not told under another name, and neither is what is impossible.
+    A mistake too weak to be reported is not reported under another name, and neither is what is impossible.
     """
     least = max((each.support for each in found), default=0.0) - DECISIVE
     return [each for each in told_by_name([x for x in found if x.mistake.possible(x.size)]) if each.support > least]
@@ -199,7 +199,7 @@ class SteadinessLevels:
         self.shown, self.centre = POOR, None
         tumbled = feels_the_earth_alone(campaign, views_of(campaign))
         self.levels = LEVELS_OF_TUMBLES if tumbled else LEVELS
-        # Mountings off by a degree need a second step, and a steady unit tells them better than a poor one.
+        # Mountings off by a degree need a second step, and a steady unit determines them better than a poor one.
         for step in range(_SCORING_STEPS):
             search = Search(campaign, self.shown, centre=self.centre)
             if step and not tumbled:
@@ -232,19 +232,19 @@ class SteadinessLevels:
         return min(adequate, key=lambda level: scores[level]), min(scores.values())
 
     def steadiest(self, mistake: Mistake, tried: Sequence[Tried], stated: float) -> Explanation | None:
-        """Return the correction of a mistake at the level of most evidence; None where it explains nothing.
+        """Return the correction of a mistake at the level of most evidence; None if it explains nothing.
 
         The outputs of a unit look no steadier with a mistake than without, so that no level below the `first`, that of
-        most evidence for the set-up as stated, is tried.  What a linear model leaves out is not independent from row to
+        most evidence for the set-up as stated, is tried.  The error of a linear model is not independent from row to
         row, and the steadiest unit makes too much of it: one level below the mistake has to be supported as well.
 
         No correction may ask of a unit what no unit does.  A wrong rate shrinks the errors that a rate makes, and gains
         evidence by that while a bias takes its place.  A column is said to run backwards
-        where outputs that may drift tell it as well.
+        if outputs that may drift determine it as well.
 
         Parameters
         ----------
-        tried : the correction at each level where it fits.
+        tried : the correction at each level if it fits.
         stated : −2 log evidence of the set-up as stated.
         """
         if not tried:
@@ -273,7 +273,7 @@ class SteadinessLevels:
         return [*filter(None, (self.steadiest(mistake, own, stated) for mistake, own in found))]
 
     def tried(self, mistakes: Sequence[Mistake], first: int) -> list[list[Tried]]:
-        """Return the correction of each mistake at each level, from the first, where it fits."""
+        """Return the correction of each mistake at each level, from the first, if it fits."""
         found: list[list[Tried]] = [[] for _ in mistakes]
         fitting, going = [set(range(first)) for _ in mistakes], list(range(len(mistakes)))
         for level in range(first, len(self.levels)):
@@ -346,7 +346,7 @@ def sized(campaign: Campaign, found: Explanation) -> Explanation:
 
 
 def _as_usual(mistake: Mistake, views: Sequence[RunView], size: float, bowl: _Bowl) -> float:
-    """Return a usual size in place of the best one where the outputs hardly tell the two."""
+    """Return a usual size in place of the best one if the outputs hardly distinguish the two."""
     for usual in mistake.usual(views):
         off = math.remainder(usual - size, 2 * math.pi)
         if abs(off) < mistake.usual_within and (off / bowl.sd) ** 2 < mistake.as_usual:
@@ -371,7 +371,7 @@ def _shown(campaign: Campaign, views: Sequence[RunView]) -> Steadiness:
 def _bowl(
     campaign: Campaign, steadiness: Steadiness, mistake: Mistake, views: Sequence[RunView], size: float
 ) -> _Bowl | None:
-    """Return the evidence near a size, with all other errors at their best; None where the outputs do not tell it."""
+    """Return the evidence near a size, with all other errors at their best; None if the outputs do not determine it."""
     unit = mistake.per_radian
     search, centre = Search(campaign, steadiness, mistake.removed(views, size)), np.zeros(0)
     for _ in range(2):

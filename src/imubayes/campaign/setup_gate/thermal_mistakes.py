@@ -1,6 +1,6 @@
 """Mistakes in the recorded temperatures: of a run, of two runs, or of the two thermometers.
 
-They show only where the outputs follow the temperature.  Any temperature that the outputs agree with is a hypothesis,
+They show only if the outputs follow the temperature.  Any temperature that the outputs agree with is a hypothesis,
 and rivals the mistakes that have a name: degrees Fahrenheit, exchanged columns, a column in the wrong order.
 """
 
@@ -32,7 +32,7 @@ def _recorded(views: Sequence[RunView], names: tuple[str, ...]) -> list[Scope]:
 def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
     """Whether the corrected temperatures of a run are among those of the other runs.
 
-    Elsewhere no run tells what the outputs should be, and any temperature explains them.
+    Elsewhere no run determines what the outputs should be, and any temperature explains them.
     """
     (place,) = mistake.scope.runs
     others = [view for k, view in enumerate(views) if k != place]
@@ -214,11 +214,11 @@ class TemperatureValue(OfTemperatures):
                     yield cls(scope, names, (float(low), float(high)))
 
     def grid(self) -> tuple[float, ...]:
-        """Return sizes through the temperatures that other runs tell."""
+        """Return sizes through the temperatures that other runs determine."""
         return tuple(np.linspace(*self.reach, _PLACES).tolist())
 
     def possible(self, size: float) -> bool:
-        """Return whether other runs tell what the outputs are at such temperatures."""
+        """Return whether other runs determine what the outputs are at such temperatures."""
         return self.reach[0] < size < self.reach[1] and abs(size) > _LEAST_COURSE
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:

@@ -2,7 +2,7 @@
 
 In such a row every channel is off as the other angle or rate predicts.  The row is predicted from all others by the
 linear model of plausible errors, without the row.  The other rows show how well rows are predicted, so that no size of
-errors has to be assumed: a row is reported where it stands out from everything else that the linear model leaves out,
+errors has to be assumed: a row is reported if it stands out from everything else that the linear model leaves out,
 and another angle, rate or output brings it back in line.
 
 The rate of a whole run may be wrong by a factor: that of another range, or of a slipping drive.
@@ -38,7 +38,7 @@ of a diagnosis, at the noise of the unit."""
 LEAST_OUTPUT = 1e-3
 """The same of one output, as a share of it."""
 _OPEN, _RIVAL = 12.0, 10.0
-"""What an open value has to gain over a reversed sign, and within which of the best a record is a rival."""
+"""Gain that an open value needs over a reversed sign, and within which of the best a record is a rival."""
 MOST_ROWS = 3
 _MOST_LEFT_OUT = 6
 _STEPS = 5
@@ -169,7 +169,7 @@ def _no_more_than_it_moves(seen: Seen) -> Seen:
 def _likeliest(
     model: ErrorModel, view: RunView, place: int, wrong: WrongRow, several: int, judged: "_JudgedRows"
 ) -> WrongRow | None:
-    """Return what in the record of a row brings it in line, with what does so as well; None where nothing does."""
+    """Return what in the record of a row brings it in line, with what does so as well; None if nothing does."""
     columns = [replace(wrong, column=column) for column in _columns(view, several)]
     outputs = [replace(wrong, channel=k) for k in model.places if _is_of_rows(model, view, k, wrong.row, several)]
     found: list[tuple[float, WrongRow]] = []
@@ -226,7 +226,7 @@ def _agreeing_records(
 ) -> list[tuple[float, WrongRow]]:
     """Return the values of one record of a row that bring it in line, with −2 log of their evidence; the least is best.
 
-    The reversed sign is a point on the open value, and is named where it does as well.
+    The reversed sign is a point on the open value, and is named if it does as well.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def _medians(values: np.ndarray) -> np.ndarray:
 class RateFactor(Mistake):
     """The rates of one run are the recorded ones times a factor; the size is its logarithm.
 
-    The other runs that turn tell it.  Another unit of the rates is a point on it.
+    The other runs that turn determine it.  Another unit of the rates is a point on it.
     """
 
     kind: ClassVar[str] = "table_rate"
@@ -353,7 +353,7 @@ class RateFactor(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return every run that turns, where there are several: a scale factor is known by the rate alone."""
+        """Return every run that turns, if there are several: a scale factor is known by the rate alone."""
         turning = [scope for scope in single_runs(views) if turns(views[scope.runs[0]])]
         return turning if len(turning) > 1 and campaign.of_kind("gyro") else []
 

@@ -26,7 +26,7 @@ a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and 
 one whose size is within its range would win by its range alone."""
 SHOWN, SEEN = 3.0, 1.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for, and at which one of
-a width would, for that width to be told from nothing."""
+a width would, for that width to be distinguished from nothing."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class EffectVariant:
 
     Attributes
     ----------
-    response : place of its response, which tells the effect and its shape.
+    response : place of its response, which determines the effect and its shape.
     owners : channels, mountings or tables.
     places : places of its coefficients.
     log_odds : logarithm of the prior odds that it is missing.
@@ -77,9 +77,9 @@ def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
 def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple[EffectVariant, ...]:
     """Return the variants that the runs can show, with the widths at which they would.
 
-    What the runs would not show at its largest typical size is no hypothesis at such sizes: its probability would stay
-    that of the prior, and together such effects would outweigh that nothing is missing.  They are told as undetectable.
-    Only larger sizes, at which the runs would show them, remain, with their share of the prior.
+    An effect that the runs would not show at its largest typical size is no hypothesis at such sizes: its probability
+    would stay that of the prior, and together such effects would outweigh that nothing is missing.  They are reported
+    as undetectable. Only larger sizes, at which the runs would show them, remain, with their share of the prior.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _gains_of_widths(
 
 
 def _log_share_of_signs(sign: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the log share of the posterior, (…,), where coefficients (…, k) have their sign, over the prior's."""
+    """Return the log share of the posterior, (…,), if coefficients (…, k) have their sign, over the prior's."""
     z = sign * mean / np.sqrt(np.maximum(variance, 1e-300))
     return np.sum(np.where(sign != 0, normal_log_survival(-z) + math.log(2), 0.0), axis=-1)
 
@@ -201,7 +201,7 @@ def summed_over_widths(
     sign: np.ndarray,
     start: Sequence[float],
 ) -> tuple[list[float], float]:
-    """Return the likeliest width of each variant and the log evidence summed over all, one variant after the other."""
+    """Return the most probable width of each variant and the log evidence summed over all, variant by variant."""
     best, each = list(start), [np.zeros(1)] * len(grids)
     before: list[float] = []
     while best != before:

@@ -1,8 +1,8 @@
 """Explanations outside the catalogue: free functions of covariates, steps and harmonics.
 
-What is not among the hypotheses gives its probability to the nearest that is: without free forms an effect that the
-catalogue lacks gets a wrong name with confidence.  A form is a few columns with one amplitude in units of noise; its
-coefficients are normal.
+A cause that is not among the hypotheses gives its probability to the nearest that is: without free forms an effect that
+the catalogue lacks gets a wrong name with confidence.  A form is a few columns with one amplitude in units of noise;
+its coefficients are normal.
 """
 
 import math
@@ -227,7 +227,7 @@ def _harmonics(angle: np.ndarray, orders: Sequence[int], size: float = 1.0) -> n
 
 
 def _gaussian_process(values: np.ndarray, length: float, columns: int) -> tuple[int, Callable[[], np.ndarray]]:
-    """Return columns whose normal combinations are a Gaussian process of unit variance; zero where not finite.
+    """Return columns whose normal combinations are a Gaussian process of unit variance; zero if not finite.
 
     Its coordinate is the mean of value and rank, both scaled to their range: levels far apart are not one.
     """
@@ -319,7 +319,7 @@ def _products_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[int, np.ndarray]:
-    """Return a covariate on each channel that sees it vary, over its largest size; empty where none does."""
+    """Return a covariate on each channel that sees it vary, over its largest size; empty if none does."""
     seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
     seen = {k: np.nan_to_num(x) for k, x in seen.items() if _varies(x)}
     if not seen:
@@ -331,7 +331,7 @@ def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Tell whether two covariates are one, as the times of a run and of the campaign where there is one run."""
+    """Return whether two covariates are one, as the times of a run and of the campaign if there is one run."""
     a, b = one - one.mean(), other - other.mean()
     return float(a @ b) ** 2 > (1 - NEGLIGIBLE) * float(a @ a) * float(b @ b)
 

@@ -58,7 +58,7 @@ class Evaluated:
     ----------
     log_evidence, log_posterior : natural logarithms, up to a common constant.
     scale : shape (K,), noise scale of each channel.
-    widths : prior width of each variant that is likeliest.
+    widths : prior width of each variant that is most probable.
     columns : shape (n,), own parameters and coefficients that take part, as places among [J X]; the form follows.
     precision, pull : of their priors.
     mean : of the posterior, in prior units: z, largest typical sizes, units of noise.
@@ -116,7 +116,7 @@ class EvidenceOf:
 
     @cached_property
     def stated(self) -> tuple[structures.NoiseOfUnit, ...]:
-        """The noise as stated, of each unit; the likeliest before the data."""
+        """The noise as stated, of each unit; the most probable before the data."""
         return tuple(max(unit.stated, key=lambda each: each.log_prior) for unit in self.units)
 
     @cached_property
@@ -251,7 +251,7 @@ class _Evaluation:
         self.widths = [before.get(each, _middle(of.variants[each].widths)) for each in hypothesis.variants]
 
     def _first_weights(self, channel: int, degrees: float) -> np.ndarray:
-        """Return the weights at the fit where its model has heavy tails; else 1, since outliers have moved the fit."""
+        """Return the weights at the fit if its model has heavy tails; else 1, since outliers have moved the fit."""
         rows = self.of.problem.rows[channel]
         return structures.tail_weights(rows.columns[:, -1] ** 2, degrees) if rows.tails else np.ones(len(rows.entry))
 
@@ -264,7 +264,7 @@ class _Evaluation:
         return found
 
     def _at_widths(self) -> tuple[list[float], Evaluated]:
-        """Return the likeliest widths, and the evidence with scales found at the present ones."""
+        """Return the most probable widths, and the evidence with scales found at the present ones."""
         precision, pull = self._priors()
         self._settle(precision, pull)
         widths, gain, rest = self._evidence(precision, pull)
@@ -334,7 +334,7 @@ class _Evaluation:
         )  # fmt: skip
 
     def _evidence(self, precision: np.ndarray, pull: np.ndarray) -> tuple[list[float], float, float]:
-        """Return the likeliest widths, the gain by the coefficients of effects, and the rest of the evidence."""
+        """Return the most probable widths, the gain by the coefficients of effects, and the rest of the evidence."""
         problem = self.of.problem
         found = self.log_det + self.laplace
         for k in self.channels:
@@ -345,7 +345,7 @@ class _Evaluation:
         of_effects = np.arange(problem.own, problem.own + len(self.coefficients))
         after = problem.own + len(self.coefficients)
         rest = np.concatenate([np.arange(problem.own), np.arange(after, len(self.whole))])
-        # Coefficients of unit information: what a prior alone tells stands beside what a million rows tell.
+        # Coefficients of unit information: what a prior alone determines is beside what a million rows determine.
         unit = 1 / np.sqrt(np.diag(self.whole)[rest])
         lower = np.linalg.cholesky(unit[:, None] * self.whole[rest[:, None], rest] * unit)
         columns = np.concatenate([self.right[rest, None], self.whole[rest[:, None], of_effects]], axis=1)
@@ -364,7 +364,7 @@ class _Evaluation:
 
 @dataclass(frozen=True)
 class _Stacked:
-    """Inner products of the n columns of a hypothesis on K channels, zero where a channel does not respond.
+    """Inner products of the n columns of a hypothesis on K channels, zero if a channel does not respond.
 
     One product of matrices serves all channels: scales are found anew some thousand times.
 

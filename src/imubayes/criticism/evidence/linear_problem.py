@@ -3,11 +3,11 @@
     r = J t + X b + F c + e
 
 t are the model's own parameters with their priors, b the coefficients of missing effects, c a free form, e the noise.
-Rows are divided by the independent noise that was known before the fit, as raw samples, priors or the campaign tell it,
-so that a scale of 1 is the noise as known; what correlates rows is a matter of the hypothesis.  The closing rotations
-of a free tumble are rows as well: turns show what poses at rest do not, such as the misalignment of a gyro.  Nothing is
-projected out: parameters are coefficients with priors like all others, and noise may change between hypotheses.
-Coefficients of effects count in their largest typical sizes.
+Rows are divided by the independent noise that was known before the fit, as raw samples, priors or the campaign
+determine it, so that a scale of 1 is the noise as known; what correlates rows is a matter of the hypothesis.  The
+closing rotations of a free tumble are rows as well: turns show what poses at rest do not, such as the misalignment of a
+gyro.  Nothing is projected out: parameters are coefficients with priors like all others, and noise may change between
+hypotheses. Coefficients of effects count in their largest typical sizes.
 """
 
 from collections.abc import Iterator
@@ -30,20 +30,20 @@ from imubayes.noise.hand_components import CarriedClosure, RotationClosure
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 
 BELIEVED = 0.03
-"""Standard deviation of the logarithm of a noise scale that raw samples tell.  Calibrated on complete shipped models:
-rounding of the recorded deviations and a stimulus that varies a little within rows stay within it."""
+"""Standard deviation of the logarithm of a noise scale that raw samples determine.  Calibrated on complete shipped
+models: rounding of the recorded deviations and a stimulus that varies a little within rows stay within it."""
 UNKNOWN = 0.7
-"""The same of a scale that nothing tells: a factor of two either way."""
+"""The same of a scale that nothing determines: a factor of two either way."""
 _PRIOR_Z = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
 """Places of the prior of a noise scale, in its standard deviations, that stand for it.  Numerical."""
 UNEXPECTED = 0.1
 """Prior probability of what neither model nor catalogue foresees: in a kind of channel other noise than stated, or
 scatter unlike that of sister channels; a form outside the catalogue or a wrong input, half each.  Calibrated: complete
-models keep "nothing missing", and foreign causes are told as such."""
+models keep "nothing missing", and foreign causes are reported as such."""
 SAME_LEVEL = 0.02
 """Share of its range, or of its largest size, within which a covariate is at one level: scatter about a set point."""
 NEGLIGIBLE = float(np.sqrt(np.finfo(float).eps))
-"""What rounding leaves of a sum of squares, as a share.  Derived."""
+"""Rounding error of a sum of squares, as a share.  Derived."""
 
 Grid = tuple[tuple[float, float], ...]
 """Sizes that a prior allows, with the logarithm of the probability of each."""
@@ -71,7 +71,7 @@ class ChannelRows:
         with the logarithm of the probability of each; empty of a model without them.
     tails : degrees of freedom of heavy tails that the model's prior allows, likewise.
     correlations : correlation in time that the model states, at each size that its prior allows.
-    noise : of the median row, at the input, rad/s or m/s²; 0 where it is not known.
+    noise : of the median row, at the input, rad/s or m/s²; 0 if it is not known.
     runs : run of each of `series`; empty if it is not known, as of closing rotations.
     """
 
@@ -92,7 +92,7 @@ class ChannelRows:
 
     @property
     def input_varies(self) -> bool:
-        """Whether what depends on the input can be told from what does not."""
+        """Whether what depends on the input can be distinguished from what does not."""
         size = np.abs(self.input)
         return len(size) > 0 and float(np.ptp(size)) > SAME_LEVEL
 
@@ -159,7 +159,7 @@ class LinearProblem:
 
 
 def typical_sizes(coefficient: Coefficient) -> tuple[float, float]:
-    """Return the smallest and the largest typical size of a coefficient: where no one states them, of its prior."""
+    """Return the smallest and the largest typical size of a coefficient: if no one states them, of its prior."""
     least, largest = coefficient.typical
     if not np.isfinite(largest) or largest <= 0:
         largest = coefficient.parameter.prior_sd
@@ -268,8 +268,8 @@ def _responding(at: _At, entry: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
     """Return how well the noise of a channel is known: the standard deviation of its logarithm.
 
-    Where the whole noise is correlated from row to row, so are the samples, and their scatter does not tell it.  Nor do
-    they tell the motion of a hand, which rows in motion average.
+    If the whole noise is correlated from row to row, so are the samples, and their scatter does not determine it.  Nor
+    do they determine the motion of a hand, which rows in motion average.
     """
     kind = model.campaign.channels[channel].kind
     if any(
@@ -288,7 +288,7 @@ def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
 
 
 def _prior_grid(at: _At, channel: int, kind: type) -> Grid:
-    """Return the sizes of a kind of noise that its prior allows, SI, as intervals of z; empty where it is not there."""
+    """Return the sizes of a kind of noise that its prior allows, SI, as intervals of z; empty if it is not there."""
     place = _scale(at.model, channel, kind)
     if place is None:
         return ()

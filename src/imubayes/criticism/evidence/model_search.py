@@ -28,7 +28,7 @@ from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 from imubayes.criticism.explanation_records import NEAR
 
 _AT_ONCE = 160
-"""Forms that are decomposed together, and the likeliest ones whose gain is exact."""
+"""Forms that are decomposed together, and the most probable ones whose gain is exact."""
 
 
 @dataclass(frozen=True)
@@ -184,12 +184,12 @@ class FormScan:
 
 
 def _is_apart(form: ChosenForm) -> bool:
-    """Tell whether a form has coefficients of its own on each of several channels."""
+    """Return whether a form has coefficients of its own on each of several channels."""
     return len(form.channels) > 1 and form.form.wrong is None
 
 
 def _likeliest(form: FormHypothesis, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:
-    """Return a form at its likeliest amplitude, with its gain and prior probability."""
+    """Return a form at its most probable amplitude, with its gain and prior probability."""
     best = int(np.argmax(gains)) if len(gains) else 0
     chosen = ChosenForm(form, form.amplitudes[best], channels)
     return (float(gains[best]) if math.isfinite(gains[best]) else -math.inf) + chosen.log_prior, chosen
@@ -234,7 +234,7 @@ class ModelSearch:
         return list(self.of.known.values())
 
     def best(self, which: Callable[[Evaluated], bool] = lambda _: True) -> Evaluated:
-        """Return the likeliest hypothesis that is possible, of those that fulfil a condition."""
+        """Return the most probable hypothesis that is possible, of those that fulfil a condition."""
         return max((each for each in self.known if possible(each) and which(each)), key=lambda each: each.log_posterior)
 
     @cached_property
@@ -262,7 +262,7 @@ class ModelSearch:
         """Search, with forms outside the catalogue and wrong inputs, and return itself."""
         self.forms, self.wrong_rows = forms, wrong_rows
         empty = self._as_fitted
-        # Outliers distort parameters, and are seen only where all channels bound them at once.
+        # Outliers distort parameters, and are seen only if all channels bound them at once.
         others = [tuple(_first(unit, each) for unit in self.of.units) for each in (SCALED, TAILED)]
         starts = [one for noise in others if (one := self._get(Hypothesis((), noise))) is not None]
         start = max((empty, *starts), key=lambda each: each.log_posterior)
@@ -308,7 +308,7 @@ class ModelSearch:
     # ---- noise ----
 
     def _vary_noise(self, at: Evaluated) -> Evaluated:
-        """Return the likeliest noise about a hypothesis: structures, then scatters, one unit after the other."""
+        """Return the most probable noise about a hypothesis: structures, then scatters, one unit after the other."""
         for _ in range(2):
             before = at
             for place, unit in enumerate(self.of.units):
@@ -319,7 +319,7 @@ class ModelSearch:
         return at
 
     def _likeliest(self, at: Evaluated, place: int, choices: Sequence[NoiseOfUnit]) -> Evaluated:
-        """Return the likeliest of some choices of noise in a unit.
+        """Return the most probable of some choices of noise in a unit.
 
         Those that the residual excludes are not tried, and of a family none after one that is worse.
         """
@@ -344,7 +344,7 @@ class ModelSearch:
     def _expand_at_less_noise(self) -> None:
         """Expand the empty hypothesis with the least noise of each unit that has more: what noise absorbs shows there.
 
-        The best additions get the noise that is likeliest with them.
+        The best additions get the noise that is most probable with them.
         """
         at = self.best(_no_effects)
         for place, unit in enumerate(self.of.units):
@@ -388,7 +388,7 @@ class ModelSearch:
                 self._try(less.hypothesis.including(*pair), at)
 
     def _expand_beyond_priors(self) -> None:
-        """Expand the likeliest prior that is too narrow: what it forbids an effect of its own is found beside it."""
+        """Expand the most probable prior that is too narrow: an effect that it forbids is found beside it."""
         found = [each for each in self.known if beyond_prior(each) and each.hypothesis not in self._expanded]
         stated = self.best(states_noise).log_posterior
         best = max(found, key=lambda each: each.log_posterior, default=None)
@@ -411,11 +411,11 @@ class ModelSearch:
     # ---- forms ----
 
     def _scan_forms(self) -> None:
-        """Add forms to the likeliest effects, to those less each, and to none at the noise as known or least."""
+        """Add forms to the most probable effects, to those less each, and to none at the noise as known or least."""
         best = self.best(_pure)
         without = [self._get(best.hypothesis.without(each), best) for each in best.hypothesis.variants]
         for less in without:
-            # An effect that stands far out is swapped for a form where one is expanded.
+            # An effect that stands far out is swapped for a form if one is expanded.
             if less is not None and less.log_posterior > best.log_posterior - LARGE:
                 self._add_forms(less, best.scale)
         self._add_forms(best, best.scale)
@@ -447,7 +447,7 @@ class ModelSearch:
                     told += self._with_form(at, form)
 
     def _with_form(self, at: Evaluated, form: ChosenForm) -> bool:
-        """Evaluate a form, with amplitudes beside it as well; tell whether it is possible."""
+        """Evaluate a form, with amplitudes beside it as well; return whether it is possible."""
         hypothesis = at.hypothesis
         first = self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form), at)
         if first is not None and not possible(first):
@@ -473,7 +473,7 @@ def _formed(each: Evaluated) -> bool:
 
 
 def possible(found: Evaluated) -> bool:
-    """Tell whether a record can be wrong by what a hypothesis says.
+    """Return whether a record can be wrong by what a hypothesis says.
 
     An impossible size is nothing to look about: the noise beside it is not that of what comes after it.
     """
@@ -484,7 +484,7 @@ def possible(found: Evaluated) -> bool:
 
 
 def beyond_prior(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is that a prior is too narrow."""
+    """Return whether a hypothesis is that a prior is too narrow."""
     form = each.hypothesis.form
     return form is not None and form.form.wrong is not None and form.form.wrong.form == "prior"
 
@@ -494,5 +494,5 @@ def _no_effects(each: Evaluated) -> bool:
 
 
 def states_noise(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is that nothing is missing."""
+    """Return whether a hypothesis is that nothing is missing."""
     return _no_effects(each) and all(noise.stated for noise in each.hypothesis.noise)

@@ -1,7 +1,7 @@
-"""What the noise may be other than stated: structures of the rows of a channel, and offsets between its runs.
+"""Deviations of the noise from its statement: structures of the rows of a channel, and offsets between its runs.
 
 A structure is a covariance of the rows of one run up to a scale.  It whitens columns of rows that are divided by the
-noise known beforehand, and tells the log determinant of that.  Offsets of runs lie on top of any structure: their
+noise known beforehand, and determines the log determinant of that.  Offsets of runs lie on top of any structure: their
 variance changes Gram matrices by a term of low rank, so that they cost nothing.
 
 - As known; another scale.
@@ -236,7 +236,7 @@ class NoiseUnit:
 
     @cached_property
     def stated(self) -> tuple[NoiseOfUnit, ...]:
-        """The noise that the model states; several where it leaves a size open."""
+        """The noise that the model states; several if it leaves a size open."""
         return tuple(each for each in self.choices if each.stated)
 
     def structures(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
@@ -255,13 +255,13 @@ class NoiseUnit:
 
     @cached_property
     def as_fitted(self) -> NoiseOfUnit:
-        """The likeliest noise before the data that is stated, its correlation in time as fitted."""
+        """The most probable noise before the data that is stated, its correlation in time as fitted."""
         size = min(range(len(self.factors)), key=lambda k: abs(math.log(self.factors[k])), default=0)
         return max((each for each in self.stated if each.size == size), key=lambda each: each.log_prior)
 
 
 def noise_units(problem: linear.LinearProblem) -> tuple[NoiseUnit, ...]:
-    """Return who shares noise: each channel by itself where the model leaves a size of its noise open, else a kind.
+    """Return who shares noise: each channel by itself if the model leaves a size of its noise open, else a kind.
 
     The closing rotations of each run are by themselves.
     """
@@ -297,7 +297,7 @@ def _raised(problem: linear.LinearProblem) -> Iterator[RunNoise]:
 def log_prior_of_sisters(
     problem: linear.LinearProblem, units: tuple[NoiseUnit, ...], noise: tuple[NoiseOfUnit, ...]
 ) -> float:
-    """Return what the scatters between runs of equal sensors tell of one another, beyond the prior of each.
+    """Return what the scatters between runs of equal sensors show of one another, beyond the prior of each.
 
     Scatters of a kind have a common size with the prior of the model, and lie about it with a standard deviation of the
     logarithm as equal sensors do, but for a share that have nothing in common.

@@ -1,4 +1,4 @@
-"""What a sensor can do to a covariate: forms that no sensor makes, and those that are an effect of the catalogue.
+"""Possible responses of a sensor to a covariate: impossible forms, and forms of an effect of the catalogue.
 
 A form is judged by its size at the input.  Without a bound a covariate that hardly varies, such as the Earth rate on a
 dividing head, explains anything by a coefficient that no sensor has.
@@ -35,7 +35,7 @@ def possible_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -
 def _possible(
     problem: LinearProblem, known: Sequence[ResidualCovariate], form: FormHypothesis
 ) -> FormHypothesis | None:
-    """Return a form with the amplitudes that a sensor can have; None where it has none."""
+    """Return a form with the amplitudes that a sensor can have; None if it has none."""
     covariates = [each for each in known if each.name in form.covariates]
     largest = max((largest_amplitude(problem, k, covariates) for k in form.columns), default=np.inf)
     kept = tuple(each for each in form.amplitudes if each <= largest)
@@ -65,7 +65,7 @@ def largest_amplitude(problem: LinearProblem, channel: int, covariates: Sequence
 
 
 def _is_an_effect(problem: LinearProblem, form: FormHypothesis) -> bool:
-    """Tell whether a linear response to a vector is what an effect of the catalogue, with its coefficients, makes."""
+    """Return whether a linear response to a vector is what an effect of the catalogue, with its coefficients, makes."""
     if form.family != "vector":
         return False
     start, spans = problem.own, []

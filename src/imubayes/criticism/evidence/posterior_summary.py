@@ -1,7 +1,7 @@
 """From the hypotheses of a search to the probabilities of explanations, of effects, and of what stands in their place.
 
-What the model leaves open of its noise is a nuisance, such as the scatter between runs: hypotheses that differ in it
-alone count once, by the likeliest.  A search evaluates more sizes about its leader than about others, and their sum
+Noise that the model leaves open is a nuisance, such as the scatter between runs: hypotheses that differ in it
+alone count once, by the most probable.  A search evaluates more sizes about its leader than about others, and their sum
 would favour it.
 """
 
@@ -25,13 +25,13 @@ UNLISTED = 0.25
 """Share of explanations by effects beside noise above what is known, of which a cause outside the catalogue is
 the truth: the effect imitates a part of it and the noise takes the rest.  A belief that no data of the kind refute."""
 _STANDS_OUT = 3.0
-"""Standard deviations by which the noise of a channel differs from that known, to be told by itself (convention)."""
+"""Standard deviations from the known noise beyond which the noise of a channel is reported by itself (convention)."""
 _KINDS: tuple[record.Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
 @dataclass(frozen=True)
 class SlotMember:
-    """A variant of an effect in a slot, the likeliest hypothesis with it there, and the share of its effect."""
+    """A variant of an effect in a slot, the most probable hypothesis with it there, and the share of its effect."""
 
     effect: str
     variant: int
@@ -45,7 +45,7 @@ class MissingEffect:
 
     Attributes
     ----------
-    members : the likeliest first, until 95 % are told.
+    members : the most probable first, until 95 % are reported.
     gain : natural logarithm of the evidence for it.
     probability : that an effect of the slot is missing.
     """
@@ -60,7 +60,7 @@ class ExplanationPosterior:
 
     Attributes
     ----------
-    fitted : the fit that the search is about; its record is corrected where the leader is a gross wrong input.
+    fitted : the fit that the search is about; its record is corrected if the leader is a gross wrong input.
     of : the evidence of hypotheses.
     distinct, share : hypotheses that differ in more than the scatter between runs, and their probabilities, (n,).
     unlisted : probability of a cause outside the catalogue that no form of the search takes.
@@ -76,7 +76,7 @@ class ExplanationPosterior:
         self.share, self.unlisted = share * (1 - taken), float(share @ taken)
 
     def _beside_excess(self, found: Evaluated) -> bool:
-        """Tell whether effects stand beside noise of the rows above what is known."""
+        """Return whether effects stand beside noise of the rows above what is known."""
         units = zip(self.of.units, found.hypothesis.noise, strict=True)
         scales = [found.scale[list(unit.channels)] for unit, noise in units if noise.rows.free]
         return bool(found.hypothesis.variants) and any(np.log(each).mean() > 0 for each in scales)
@@ -111,12 +111,12 @@ class ExplanationPosterior:
 
     @cached_property
     def leading(self) -> record.Explanation:
-        """The kind of explanation that is likeliest."""
+        """The kind of explanation that is most probable."""
         return max(self._explanations, key=lambda each: each.probability).kind
 
     @cached_property
     def top(self) -> Evaluated:
-        """The likeliest hypothesis of the leading kind."""
+        """The most probable hypothesis of the leading kind."""
         mine = [each for each in self.distinct if kind_of(each.hypothesis) == self.leading]
         return max(mine, key=lambda each: each.log_posterior)
 
@@ -157,7 +157,7 @@ class ExplanationPosterior:
 
     @cached_property
     def inclusion(self) -> tuple[record.ProbableEffect, ...]:
-        """The effects of all hypotheses with their probabilities, the likeliest first."""
+        """The effects of all hypotheses with their probabilities, the most probable first."""
         owners: dict[str, tuple[str, ...]] = {}
         for place in np.argsort(-self.share):
             for n in self.distinct[place].hypothesis.variants:
@@ -192,7 +192,7 @@ class ExplanationPosterior:
 
     @cached_property
     def wrong_inputs(self) -> tuple[tuple[float, Evaluated], ...]:
-        """Wrong inputs near the likeliest, with their probabilities among them; empty without one."""
+        """Wrong inputs near the most probable, with their probabilities among them; empty without one."""
         found = [each for each in self.distinct if kind_of(each.hypothesis) == "input"]
         best = max((each.log_posterior for each in found), default=-math.inf)
         near = sorted(
@@ -217,7 +217,7 @@ class ExplanationPosterior:
 
     @cached_property
     def with_form(self) -> Evaluated | None:
-        """The likeliest hypothesis with a form outside the catalogue or a wrong input; None if none is near."""
+        """The most probable hypothesis with a form outside the catalogue or a wrong input; None if none is near."""
         formed = [each for each in self.distinct if each.hypothesis.form is not None]
         best = max(formed, key=lambda each: each.log_posterior, default=None)
         return None if best is None or best.log_posterior < self._without_form - record.NEAR else best
@@ -249,7 +249,7 @@ class ExplanationPosterior:
                 yield record.FoundNoise(channels=channels, family=noise.family, scale=scale)
 
     def _unlike_known(self, channels: Sequence[int]) -> Sequence[int]:
-        """Return the channels of a structure whose noise is not as known; all where none stands out."""
+        """Return the channels of a structure whose noise is not as known; all if none stands out."""
         rows = self.of.problem.rows
         sd = {k: math.hypot(rows[k].scale_sd, math.sqrt(0.5 / max(len(rows[k].entry), 1))) for k in channels}
         found = [k for k in channels if abs(math.log(self.top.scale[k])) > _STANDS_OUT * sd[k]]

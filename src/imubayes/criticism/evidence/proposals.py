@@ -1,4 +1,4 @@
-"""What to add to a hypothesis: quick gains of every effect and of pairs of effects, its noise held.
+"""Proposals of additions to a hypothesis: quick gains of every effect and of pairs of effects, its noise held.
 
 Conditional on a hypothesis with its scales, the likelihood of further coefficients is normal: V and u past all that
 takes part are the same for every candidate, so that all are scored from one matrix.

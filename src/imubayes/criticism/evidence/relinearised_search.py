@@ -1,8 +1,8 @@
-"""The evidence of a fit: a search, and another about its leader where that is large.
+"""The evidence of a fit: a search, and another about its leader if that is large.
 
 A large effect acts by its curvature and by its products with other parameters as well, which the linear model leaves
 over and which look like further effects and forms; so does a gross error of the record.  The campaign is linearised
-anew where the leader puts parameters, coefficients and record, at the price of one evaluation, and searched again,
+anew if the leader puts parameters, coefficients and record, at the price of one evaluation, and searched again,
 three times at most (Gauss–Newton steps).
 """
 
@@ -26,7 +26,7 @@ from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, acts_through_the_model, problem_of
 
 GROSS = 500.0
-"""Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
+"""Nats of an effect above which the campaign is linearised anew about it.  Derived: if it stands out of the noise by
 thirty standard deviations, a curvature of a tenth of it does by three."""
 _NEAR, _ROUNDS = 0.1, 3
 """Relative change of a coefficient, or change of z, within which a linearisation stands; how often it is made anew."""
@@ -47,7 +47,7 @@ class _About:
     size: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def stands_for(self, other: "_About") -> bool:
-        """Tell whether this linearisation serves the other; about no mode, parameters lead on as well."""
+        """Return whether this linearisation serves the other; about no mode, parameters lead on as well."""
         before, now = ({**each.point.values, **_flat(each.point)} for each in (self, other))
         same = before.keys() == now.keys() and self.wrong == other.wrong
         pairs = [*((x, now.get(name, 0.0)) for name, x in before.items()), *zip(self.size, other.size, strict=False)]
@@ -103,7 +103,7 @@ def _support(found: tuple[ModelSearch, _About]) -> float:
 def _corrected(
     search: ModelSearch, fitted: Fit, covariates: Sequence[ResidualCovariate]
 ) -> tuple[ModelSearch, _About] | None:
-    """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
+    """Return a search about the most probable error of the record, corrected; None if none acts through the model.
 
     A gross one distorts the fit, so that its linear response about the fit does not lead to it.
     """
@@ -125,7 +125,7 @@ def _followed(
     covariates: Sequence[ResidualCovariate],
     lead: Callable[[ModelSearch, Fit], Evaluated | None],
 ) -> tuple[ModelSearch, _About]:
-    """Return the likeliest of the linearisations that lead from one to the next; about no mode the last."""
+    """Return the most probable of the linearisations that lead from one to the next; about no mode the last."""
     best = search, about
     for _ in range(_ROUNDS):
         leading = lead(search, fitted)
@@ -149,13 +149,13 @@ def _run(
 
 
 def _leader(search: ModelSearch, fitted: Fit) -> Evaluated | None:
-    """Return the likeliest hypothesis where its effects are large, or there is no mode: a linearisation about it."""
+    """Return the most probable hypothesis if its effects are large, or there is no mode: a linearisation about it."""
     top = search.best()
     return top if not fitted.optimised or _is_large(search, top) else None
 
 
 def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
-    """Return the likeliest wrong input that acts through the model where one of any kind leads, or it is gross.
+    """Return the most probable wrong input that acts through the model if one of any kind leads, or it is gross.
 
     What its curvature leaves excludes it as long as it is not corrected, so that it need not lead.
     """
@@ -168,14 +168,14 @@ def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
 
 
 def _gross_row(search: ModelSearch, fitted: Fit) -> Evaluated | None:
-    """Return the likeliest wrong input where it is gross and in one row: those of runs were corrected before."""
+    """Return the most probable wrong input if it is gross and in one row: those of runs were corrected before."""
     found = _gross_input(search, fitted)
     form = found.hypothesis.form if found is not None else None
     return found if form is not None and form.form.row is not None else None
 
 
 def _wide_prior(search: ModelSearch, fitted: Fit) -> Evaluated | None:
-    """Return the likeliest prior that is too narrow where it is gross: the effects that it forbids act from there."""
+    """Return the most probable prior that is too narrow if it is gross: the effects that it forbids act from there."""
     found = max(filter(beyond_prior, search.known), key=lambda each: each.log_posterior, default=None)
     if found is None or found is _leader(search, fitted):
         return None
@@ -188,13 +188,13 @@ def _is_large(search: ModelSearch, top: Evaluated) -> bool:
 
 
 def _is_input(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is a wrong input that acts through the model."""
+    """Return whether a hypothesis is a wrong input that acts through the model."""
     form = each.hypothesis.form
     return form is not None and form.form.wrong is not None and acts_through_the_model(form.form.wrong)
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
-    """Return the linearisation about a hypothesis; None where the record cannot be corrected so."""
+    """Return the linearisation about a hypothesis; None if the record cannot be corrected so."""
     z = about.fitted.z + top.mean[: search.of.problem.own]
     point, form = _point(search, top), top.hypothesis.form
     if not np.isfinite(z).all():
@@ -210,7 +210,7 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
 def _about(
     recorded: Fit, wrong: WrongInput, size: np.ndarray, z: np.ndarray, point: LinearisationPoint
 ) -> _About | None:
-    """Return the linearisation about a corrected record; None where it cannot be corrected so."""
+    """Return the linearisation about a corrected record; None if it cannot be corrected so."""
     campaign = recorded.model.campaign
     if not wrong.possible(size):
         return None
@@ -223,9 +223,9 @@ def _about(
 
 
 def _linearised(problem: LinearProblem, about: _About) -> LinearProblem | None:
-    """Return the problem linearised anew; None where the model is not defined there.
+    """Return the problem linearised anew; None if the model is not defined there.
 
-    Coefficients and what is added to the record stay measured from zero, where their priors are centred.
+    Coefficients and what is added to the record stay measured from zero, if their priors are centred.
     """
     responses = candidate_responses(about.fitted, about=about.point)
     if not np.isfinite(responses.misfit).all():

@@ -103,7 +103,7 @@ class _Size:
     bounded: bool
 
     def at(self, factor: float) -> float | None:
-        """Return z of a multiple; None where there is none."""
+        """Return z of a multiple; None if there is none."""
         return None if self.bounded and factor > 1 else self.parameter.z_at(self.fitted * factor)
 
     def log_share(self, factor: float) -> float:

@@ -46,7 +46,7 @@ class RowEvidence:
 
     @cached_property
     def nothing(self) -> Solved:
-        """That nothing is missing, at the likeliest noise that the model states."""
+        """That nothing is missing, at the most probable noise that the model states."""
         return self.of.solved(self.posterior.search.best(states_noise))
 
     @cached_property

@@ -141,7 +141,7 @@ class RunOffsets:
     ----------
     size : shape (runs,), posterior mean of each, in units of the noise of a row as known.
     scatter : standard deviation of their prior, in units of the noise of a row.
-    information : shape (runs,), that the rows of each tell, at a noise of 1.
+    information : shape (runs,), that the rows of each determine, at a noise of 1.
     taken : shape (n,), what they take of the residual.
     variance : shape (n,), what remains uncertain of that, over the variance of a row.
     """

@@ -1,6 +1,6 @@
 """Wrong inputs as explanations: a column of the record of a run is off, its seat, its outputs, or one row of a column.
 
-A wrong input responds as the model does to that column of the record (`imubayes.responses.wrong_inputs`).  Where it is
+A wrong input responds as the model does to that column of the record (`imubayes.responses.wrong_inputs`).  If it is
 not among the explanations a thermometer that is off becomes a thermal effect, and a mistyped angle heavy tails.
 """
 
@@ -26,14 +26,14 @@ _BETWEEN_UNITS = math.sqrt(2.0)
 _BEYOND = (6.0, 20.0, 60.0, 200.0)
 """Standard deviations of parameters whose prior is too narrow, over it: from where no draw of the prior leads."""
 _LEAST_RUNS = 3
-"""Runs from which on the others tell what the unit is like."""
+"""Runs from which on the others determine what the unit is like."""
 _ERRORS_OF_ROWS = tuple((WIDTH_RATIO ** np.arange(10)).tolist())
 """The same of one row: an angle that is mistyped by some degrees is 10⁵ of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class WrongInputs:
-    """What may be wrong in all rows of a run, with prior probabilities, and in single rows; None where nothing is."""
+    """What may be wrong in all rows of a run, with prior probabilities, and in single rows; None if nothing is."""
 
     of_runs: tuple[FormHypothesis, ...]
     of_rows: "WrongRows | None"
@@ -219,7 +219,7 @@ class WrongRows:
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
-    """Return what may be wrong in single rows; None where there are none."""
+    """Return what may be wrong in single rows; None if there are none."""
     runs, entries = fitted.model.campaign.runs, fitted.model.entries
     first = np.cumsum([0, *(run.rows for run in runs)])
     readings = {k: rows.entry for k, rows in enumerate(problem.of_channels) if len(rows.entry)}

@@ -108,7 +108,7 @@ def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
 
 
 def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np.ndarray, wide: float) -> None:
-    """Show the shape of the model: at least three bands high, logarithmic where the rates are."""
+    """Show the shape of the model: at least three bands high, logarithmic if the rates are."""
     both = np.concatenate([observed[np.isfinite(observed)], predicted - wide, predicted + wide])
     low, high = float(both.min()), float(both.max())
     if axes.get_xscale() == "symlog":

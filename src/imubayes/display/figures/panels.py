@@ -1,4 +1,4 @@
-"""What residual panels share: choice of channels, axes, limits, and means over neighbouring points."""
+"""Shared by residual panels: choice of channels, axes, limits, and means over neighbouring points."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -109,7 +109,7 @@ def neighbour_means(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return place, mean and standard error of groups of neighbouring points.
 
-    Without given groups, each level is one where a covariate takes few levels; otherwise they are of equal number.
+    Without given groups, each level is one if a covariate takes few levels; otherwise they are of equal number.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def neighbour_means(
 
 
 def _level_starts(x: np.ndarray) -> np.ndarray:
-    """Return where each level of ascending values begins; of groups of equal number where there are many levels."""
+    """Return where each level of ascending values begins; of groups of equal number if there are many levels."""
     # Levels are separated by gaps: 0.2 % of the value, since rates span decades.
     gap = np.maximum(0.002 * np.abs(x), 1e-6 * max(float(np.ptp(x)), 1e-300))
     starts = np.flatnonzero(np.diff(x, prepend=-np.inf) > gap)
@@ -150,7 +150,7 @@ def draw_means(axes: Axes, x: np.ndarray, y: np.ndarray, groups: np.ndarray | No
 
 
 def spread(axes: Axes, x: np.ndarray, runs: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return places shifted sideways a little by run, where few levels would make points overlap."""
+    """Return places shifted sideways a little by run, if few levels would make points overlap."""
     levels = np.unique(x)
     if len(levels) > _MOST_LEVELS or len(names) < 2 or x.size < 3 * len(levels):
         return x

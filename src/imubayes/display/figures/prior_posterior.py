@@ -104,7 +104,7 @@ def _shifts(axes: Axes, chosen: Sequence[Quantity]) -> None:
 
 
 def _widths(axes: Axes, chosen: Sequence[Quantity]) -> None:
-    """Draw uncertainty before and after, in one unit for all where they share a dimension."""
+    """Draw uncertainty before and after, in one unit for all if they share a dimension."""
     units = {entry.unit for entry in chosen}
     angles = units <= set(_ARCSEC)
     unit = "arcsec" if angles else (pretty(next(iter(units))) if len(units) == 1 else "unit of each")
@@ -235,6 +235,6 @@ def _recorded(campaign: Campaign) -> list[np.ndarray]:
 
 
 def _span(campaign: Campaign) -> tuple[float, float]:
-    """Return the lowest and highest temperature recorded, °C; (0, 0) where none is."""
+    """Return the lowest and highest temperature recorded, °C; (0, 0) if none is."""
     found = np.concatenate([np.empty(0), *_recorded(campaign)])
     return (float(found.min()), float(found.max())) if found.size else (0.0, 0.0)

@@ -122,7 +122,7 @@ def _note(y: np.ndarray, unit: str, limit: float) -> str:
 
 
 def _bands(axes: Axes, x: np.ndarray, sd: np.ndarray) -> None:
-    """Draw ±1 and ±2 sd; a flat band where the rows are alike, the median of neighbours where they are not."""
+    """Draw ±1 and ±2 sd; a flat band if the rows are alike, the median of neighbours if they are not."""
     good = np.isfinite(x) & np.isfinite(sd)
     if not good.any():
         return
@@ -139,7 +139,7 @@ def _bands(axes: Axes, x: np.ndarray, sd: np.ndarray) -> None:
 
 
 def _mark_runs(axes: Axes, against: Covariate, counted: pl.DataFrame) -> None:
-    """Mark where a run begins, where rows are counted on."""
+    """Mark where a run begins, if rows are counted on."""
     if against.column == "row":
         starts = counted.group_by("run", maintain_order=True).agg(pl.col("row").min())["row"].to_numpy()
         for start in starts[1:]:
@@ -203,7 +203,7 @@ Chi2OfCell = tuple[int, float]
 
 
 def _cells(summary: Summary) -> dict[tuple[str, str], Chi2OfCell]:
-    """Return the cells at the noise known beforehand; as fitted where a result has no others."""
+    """Return the cells at the noise known beforehand; as fitted if a result has no others."""
     known = summary.known_noise.runs if summary.known_noise is not None else ()
     if known:
         return {(each.run, each.channel): (each.n, each.chi2) for each in known}

@@ -100,7 +100,7 @@ class FollowedCovariate:
     ----------
     at : shape (n,), its values.
     label : its name and unit, for the axis.
-    over : shape (n,), the input, in the unit of the residual, where the residual over the input follows it.
+    over : shape (n,), the input, in the unit of the residual, if the residual over the input follows it.
     """
 
     at: np.ndarray
@@ -243,7 +243,7 @@ def _pair_of_panels(
 
 
 def _signs(figure: style.Picture, runs: np.ndarray, signs: style.RunSigns | None) -> style.RunSigns:
-    """List the runs of a figure; return their signs, those of the runs themselves where none are given."""
+    """List the runs of a figure; return their signs, those of the runs themselves if none are given."""
     signs = signs if signs is not None else style.RunSigns(runs.tolist())
     style.runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, runs.tolist())
     return signs
@@ -252,7 +252,7 @@ def _signs(figure: style.Picture, runs: np.ndarray, signs: style.RunSigns | None
 def _over_input(
     axes: Axes, evidence: ResidualEvidence, stimulus: np.ndarray, runs: np.ndarray, signs: style.RunSigns
 ) -> None:
-    """Draw the residual over the input in ppm, where the input is large enough not to magnify the noise."""
+    """Draw the residual over the input in ppm, if the input is large enough not to magnify the noise."""
     large, divisor = _large_inputs(stimulus)
     ratio, explained = (1e6 * each[large] / divisor for each in (evidence.residual, evidence.explained))
     high = limit_of(np.concatenate([ratio, explained]), 1e-12)
@@ -284,7 +284,7 @@ def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: st
 
 
 _LEVELS, _LEAST_SHARE, _TIME_LAST = 24, 0.15, 0.1
-# A ratio to the input is shown where it tells clearly more than the plain residual.
+# A ratio to the input is shown if it determines clearly more than the plain residual.
 _RATIO_LAST = 0.05
 _BY_ROW = "row, in the order of the runs"
 
@@ -306,7 +306,7 @@ def save_recorded_noise(folder: Path, record: KnownNoise) -> Path:
 
 
 def _signs_of(folder: Path) -> style.RunSigns | None:
-    """Return the signs of the runs of a result folder; None where it has no residuals."""
+    """Return the signs of the runs of a result folder; None if it has no residuals."""
     file = folder / RESIDUALS
     return style.run_signs(pl.read_parquet(file)) if file.is_file() else None
 
@@ -324,14 +324,14 @@ def before_after(
     floors: Mapping[str, float] | None = None,
     group: EffectGroup | None = None,
 ) -> style.Picture | None:
-    """Return the residual of the channel that changed most against its covariate; None where the tables do not match.
+    """Return the residual of the channel that changed most against its covariate; None if the tables do not match.
 
     Parameters
     ----------
     before, after : `residuals.parquet` of two fits of one campaign.
     step : between the fits, such as ``adding gyro_bias_drift``.
     floors : channel → noise of one row, input units.
-    group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.  Where
+    group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.  If
         its residual is about the mean of each run, so are both.
     """
     keys = ["run", "row", "channel"]
@@ -360,9 +360,9 @@ def before_after(
 
 
 def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> FollowedCovariate:
-    """Return the covariate that a change follows best, by the means of its levels; the row where it follows none.
+    """Return the covariate that a change follows best, by the means of its levels; the row if it follows none.
 
-    One that is named goes first where the table has it; time, along which everything changes, goes last.  Where the
+    One that is named goes first if the table has it; time, along which everything changes, goes last.  If the
     change over the input follows a covariate clearly better than the change itself follows any, that one is returned
     with the input: a change of the scale factor with temperature, in rows of both signs of the input.
     """
@@ -386,7 +386,7 @@ def _share(x: np.ndarray, y: np.ndarray) -> float:
 def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float:
     """Return the share of the variance of y that a ratio y/stimulus by levels of x gives, less what chance gives.
 
-    It is 0 where one ratio for all levels gives as much.
+    It is 0 if one ratio for all levels gives as much.
     """
     good = np.isfinite(x) & np.isfinite(stimulus)
     if good.sum() < 0.6 * len(x) or np.ptp(x[good]) == 0:
@@ -406,9 +406,9 @@ def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float
 
 
 def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> style.Picture | None:
-    """Return the added-variable plot of an addition; None where it has no points.
+    """Return the added-variable plot of an addition; None if it has no points.
 
-    `residuals` of the same campaign tell the mountings and temperatures of its runs.
+    `residuals` of the same campaign determine the mountings and temperatures of its runs.
     """
     if not table.height:
         return None

@@ -36,7 +36,7 @@ def campaign_timeline_figure(campaign: Campaign) -> style.Picture:
     Raises
     ------
     ValueError
-        where no run states its start.
+        if no run states its start.
     """
     runs = [run for run in campaign.runs if run.start is not None]
     if not runs:
@@ -118,12 +118,12 @@ def mounting_sketch_figure(campaign: Campaign, pairs: Sequence[Pair] | None = No
 
     Parameters
     ----------
-    pairs : table and mounting, by name; where None, all that runs use.
+    pairs : table and mounting, by name; if None, all that runs use.
 
     Raises
     ------
     ValueError
-        where no run uses a table with a mounting.
+        if no run uses a table with a mounting.
     """
     pairs = mounted_pairs(campaign) if pairs is None else pairs
     if not pairs:
@@ -221,7 +221,7 @@ def _label(campaign: Campaign, place: int) -> str:
 
 
 def _skew(campaign: Campaign) -> list[tuple[str, np.ndarray]]:
-    """Return the channels along none of the axes of the body, with their input axes; none where they are many."""
+    """Return the channels along none of the axes of the body, with their input axes; none if they are many."""
     found: dict[tuple[float, ...], list[str]] = {}
     for channel in campaign.channels:
         if channel.kind != "angle" and channel.axes[0].max() <= _ALONG:

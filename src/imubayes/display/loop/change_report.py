@@ -59,7 +59,7 @@ def moved_sheet(change: ModelChange) -> Sheet:
 
 
 def ratio_of(change: RmsChange | RunRmsChange) -> float | None:
-    """Return the residual rms after over that before; None where either is zero or unknown."""
+    """Return the residual rms after over that before; None if either is zero or unknown."""
     return change.after / change.before if change.before and change.after else None
 
 
@@ -123,7 +123,7 @@ def _sizes(change: RmsChange | RunRmsChange) -> tuple[str, str, str]:
 
 
 def _rose(change: RmsChange | RunRmsChange) -> bool:
-    """Tell whether a residual rms rose by what is worth a line."""
+    """Return whether a residual rms rose by what is worth a line."""
     ratio = ratio_of(change)
     return ratio is not None and ratio > 1 + LEAST_PERCENT / 100
 
@@ -147,7 +147,7 @@ _VERDICTS = {
 
 
 def change_report(change: ModelChange, verbose: bool = False) -> Report:
-    """Return what a change of a model brought; tables where the refit is taken.
+    """Return what a change of a model brought; tables if the refit is taken.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def _run_lines(change: ModelChange) -> list[str]:
 
 
 def next_command(change: ModelChange) -> str:
-    """Return the command to run next; where several effects were not taken, the first of them alone."""
+    """Return the command to run next; if several effects were not taken, the first of them alone."""
     result = (change.folder if change.taken else change.parent) or "RESULT"
     first, *others = change.added or (None,)
     if change.taken or first is None or not others:

@@ -128,14 +128,14 @@ def formula_sheet(found: Diagnosis) -> Sheet:
 
 
 def noise_sheet(found: Diagnosis) -> Sheet:
-    """Return the noise of the likeliest explanation where it is not as the model says."""
+    """Return the noise of the most probable explanation if it is not as the model says."""
     noise = found.explanations.noise if found.explanations is not None else ()
     rows = [cells(sentences.noise_text([each]), numbers.significant(each.scale)) for each in noise]
     return Sheet("Noise that differs from the model", ("noise", "scale / known"), rows, (0,))
 
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:
-    """Return fitted against recorded noise of the channels where they do not agree."""
+    """Return fitted against recorded noise of the channels if they do not agree."""
     sources = {"samples": "samples within rows", "prior": "the prior", "channel": "'noise' of the channel"}
     rows = [
         cells(
@@ -221,7 +221,7 @@ _MOST_LEADING = 5
 
 
 def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = (), verbose: bool = False) -> Report:
-    """Return the verdict with its evidence; the answer about one effect where one was asked for.
+    """Return the verdict with its evidence; the answer about one effect if one was asked for.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def next_command(found: Diagnosis) -> str:
 
 
 def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: str, out: str) -> str:
-    """Return the command that adds effects to the model of a result, on channels where they are named."""
+    """Return the command that adds effects to the model of a result, on channels if they are named."""
     on = ["--channels", *channels] if channels else []
     return command_line("add", *effects, "--to", result, "--out", out, *on)
 
@@ -325,7 +325,7 @@ def effect_source(found: Diagnosis) -> str:
     Raises
     ------
     InputError
-        where that has no formula.
+        if that has no formula.
     """
     if found.formulas:
         return formula_source(found.formulas[0])

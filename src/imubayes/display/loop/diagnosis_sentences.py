@@ -1,4 +1,4 @@
-"""The diagnosis in words: the verdict, the evidence, and runs that disagree with the others, the likeliest first.
+"""The diagnosis in words: the verdict, the evidence, and runs that disagree with the others, the most probable first.
 
 The verdict is a few sentences.  The evidence is how probable each explanation is.  Of a run that does not agree with
 the others, a sentence states what would make it agree.
@@ -40,7 +40,7 @@ _KINDS: dict[Explanation, str] = {
 
 
 def evidence_text(found: Evidence) -> str:
-    """Return the probability of each explanation, what the likeliest is, and what that rests on."""
+    """Return the probability of each explanation, what the most probable is, and what that rests on."""
     each = sorted(found.explanations, key=lambda one: -one.probability)
     shown = [one for one in each if one.kind == "nothing" or one.probability >= _LEAST_TOLD]
     told = []
@@ -67,7 +67,7 @@ def probability(value: float) -> str:
 
 
 def _detail(found: Evidence, kind: Explanation) -> str:
-    """Return what an explanation is in particular; empty where nothing is to be said."""
+    """Return what an explanation is in particular; empty if nothing is to be said."""
     leads = found.leading.kind == kind
     if kind == "noise":
         return noise_text(found.noise) if leads else ""
@@ -81,7 +81,7 @@ def _detail(found: Evidence, kind: Explanation) -> str:
 
 
 def _effects(found: Evidence, leads: bool) -> str:
-    """Return the effects of the explanation that leads; where another does, the likeliest."""
+    """Return the effects of the explanation that leads; if another does, the most probable."""
     if leads and found.slots:
         noise = noise_text(found.noise)
         return "; ".join(map(_slot, found.slots)) + (f"; beside {noise}" if noise else "")
@@ -127,7 +127,7 @@ def _step_sentence(step: FoundStep) -> str:
 
 
 def _assumptions(found: Evidence) -> str:
-    """Return what the probabilities assume where that matters: noise that is not known, and prior odds."""
+    """Return what the probabilities assume if that matters: noise that is not known, and prior odds."""
     said = ""
     if found.noise_known > _WELL_KNOWN:
         factor = significant(math.exp(found.noise_known), 2)
@@ -187,7 +187,7 @@ def verdict_text(found: diagnosis.Diagnosis) -> str:
     if found.asked is not None:
         return _asked_sentence(found)
     told = [found.message] if found.verdict == "not_converged" else []
-    # What explains the data at the noise that is known tells what a noise scale stands in for.
+    # What explains the data at the noise that is known shows what a noise scale stands in for.
     if found.contradicted and found.explains_by_noise:
         told.append(f"{contradiction_text(found.contradicted)}.")
     return " ".join(filter(None, (*told, _finding(found), *_beside_the_finding(found))))
@@ -211,7 +211,7 @@ def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
 
 
 def _finding(found: diagnosis.Diagnosis) -> str:
-    """Return the likeliest explanation."""
+    """Return the most probable explanation."""
     evidence = found.explanations
     if evidence is None:
         return ""
@@ -274,7 +274,7 @@ def _missing(group: diagnosis.EffectGroup, also: str = "") -> str:
 
 
 def _in_its_place(group: diagnosis.EffectGroup) -> str:
-    """Return which effects would fit as well as the first of a group; empty where none would."""
+    """Return which effects would fit as well as the first of a group; empty if none would."""
     others = group.effects[1:]
     if not others:
         return ""
@@ -292,7 +292,7 @@ def _group_sentence(group: diagnosis.EffectGroup) -> str:
 
 
 def _size_sentence(group: diagnosis.EffectGroup) -> str:
-    """Return that the first effect is of unusual size; empty where it is not."""
+    """Return that the first effect is of unusual size; empty if it is not."""
     if not group.beyond_typical:
         return ""
     worst = max(group.beyond_typical, key=lambda each: abs(each.value) / each.largest)
@@ -322,7 +322,7 @@ def omitted_text(found: diagnosis.Diagnosis) -> str:
 
 
 def _undetectable_sentence(found: diagnosis.Diagnosis) -> str:
-    """Return how many effects these runs cannot show, and what that may mean for the estimates; empty where none."""
+    """Return how many effects these runs cannot show, and what that may mean for the estimates; empty if none."""
     hidden = len(found.undetectable)
     if not hidden:
         return ""

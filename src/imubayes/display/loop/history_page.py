@@ -47,7 +47,7 @@ class PathSection:
     ----------
     verdict : lines on what the diagnosis of the selected model says.
     sheets : parameters and derived quantities of the selected model.
-    next : command to run next; empty where nothing is left to do.
+    next : command to run next; empty if nothing is left to do.
     origin : serial number, dates, hashes and software.
     """
 
@@ -93,7 +93,7 @@ def _path(tree: Tree, place: str, steps: Sequence[HistoryStep]) -> PathSection:
 
 
 def _errors(nodes: Sequence[Node]) -> Picture | None:
-    """Return the picture of the residual rms of each model; None where no fit was taken."""
+    """Return the picture of the residual rms of each model; None if no fit was taken."""
     names = dict.fromkeys((each.channel, each.unit) for node in nodes for each in node.rms)
     channels = []
     for name, unit in names:

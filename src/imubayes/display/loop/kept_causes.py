@@ -20,7 +20,7 @@ from imubayes.results.summary import Summary
 effects_behind: Any = lazy_loader.load("imubayes.display.loop.effects_behind", suppress_warning=True)
 fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
-# Changed where the effects behind the same differences come out otherwise, so that those that are kept are found anew.
+# Changed if the effects behind the same differences come out otherwise, so that those that are kept are found anew.
 _METHOD = 1
 
 
@@ -45,7 +45,7 @@ def causes_of(
 ) -> Mapping[tuple[str, str], Sequence[tuple[str, float]]]:
     """Return what each effect of a result adds to the classical less the joint estimate, by (name, run).
 
-    What the result folder keeps is taken where it is of this fit; else it is found and kept there.
+    Budgets kept in the result folder are taken if it is of this fit; else it is found and kept there.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def causes_of(
     Raises
     ------
     InputError
-        where the folder holds no whole fit, or its campaign or model is no longer the one that was fitted.
+        if the folder holds no whole fit, or its campaign or model is no longer the one that was fitted.
     """
     kept = _kept(folder)
     if kept is None or kept.method != _METHOD:
@@ -75,7 +75,7 @@ def causes_of(
 
 
 def _kept(folder: Path) -> KeptCauses | None:
-    """Return what a folder keeps of its fit; None where there is nothing as it was written."""
+    """Return what a folder keeps of its fit; None if there is nothing as it was written."""
     try:
         file = added(folder, CAUSES)
         return KeptCauses.model_validate_json(file.read_bytes()) if file is not None else None

@@ -38,7 +38,7 @@ from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"
 _MOST_SHIFTS, _MOST_CHANNELS = 8, 9
-# Where the runs fail, a pull beyond this is named, even where few runs leave its chance open.
+# If the runs fail, a pull beyond this is named, even if few runs leave its chance open.
 _FAR = 4.0
 
 
@@ -148,7 +148,7 @@ def save_prediction(prediction: RunPrediction, folder: Path, tell: Tell) -> Path
     Raises
     ------
     InputError
-        where the folder holds something else than an earlier prediction.
+        if the folder holds something else than an earlier prediction.
     """
     if not (folder / PREDICTION).is_file():
         refuse_occupied(folder)

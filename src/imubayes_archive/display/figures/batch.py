@@ -81,7 +81,7 @@ def _limit(axes: Axes, value: np.ndarray, sd: np.ndarray) -> None:
 
 @style.themed
 def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> style.Picture:
-    """Return the evidence of every campaign for each effect found; of nothing where none was.
+    """Return the evidence of every campaign for each effect found; of nothing if none was.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> style.Pictu
 
 
 def campaign_names(units: pl.DataFrame) -> dict[str, str]:
-    """Return the unit of each campaign by digest, with the date where the unit has several campaigns."""
+    """Return the unit of each campaign by digest, with the date if the unit has several campaigns."""
     several = units.filter(pl.col("unit").is_duplicated() & pl.col("date").is_not_null())
     dates = dict(several.select("digest", "date").iter_rows())
     return {
@@ -110,7 +110,7 @@ def campaign_names(units: pl.DataFrame) -> dict[str, str]:
 
 
 def _evidence_bars(axes: Axes, each: PooledFinding, names: dict[str, str]) -> None:
-    """Draw one bar a campaign, the strongest first; the middle ones are left out where there are many."""
+    """Draw one bar a campaign, the strongest first; the middle ones are left out if there are many."""
     ordered = sorted(each.every_unit, key=lambda unit: unit.gain, reverse=True)
     if len(ordered) > _MOST_UNITS:
         ordered = ordered[: _MOST_UNITS // 2] + ordered[-_MOST_UNITS // 2 :]

@@ -43,7 +43,7 @@ class ExportOptions:
 
     Attributes
     ----------
-    rate : of the samples, Hz; None where unknown.
+    rate : of the samples, Hz; None if unknown.
     topic : ROS topic.
     noise : kind of channel → noise density.
     accept_loss : whether a file may leave out what is larger than its uncertainty.
@@ -246,7 +246,7 @@ def _px4_parameters(constants: OnboardConstants) -> list[str]:
     Raises
     ------
     InputError
-        where the channels of a triad do not lie along the body axes.
+        if the channels of a triad do not lie along the body axes.
     """
     _refuse_other_axes(constants, "px4")
     values: list[tuple[str, float | int]] = []
@@ -274,7 +274,7 @@ def _ardupilot_parameters(constants: OnboardConstants) -> list[str]:
     Raises
     ------
     InputError
-        where the channels of a triad do not lie along the body axes.
+        if the channels of a triad do not lie along the body axes.
     """
     _refuse_other_axes(constants, "ardupilot")
     low, high = constants.ranges_degC.get("temperature", (constants.reference_degC,) * 2)
@@ -369,7 +369,7 @@ class ExportFormat:
     ----------
     lines : what stands below the heading.
     program : that reads it, as it is named in sentences.
-    able : what it can hold; None where nothing is lost.
+    able : what it can hold; None if nothing is lost.
     opening, comment : before the lines of the heading, and at the beginning of each.
     """
 
@@ -409,7 +409,7 @@ def write_constants(constants: OnboardConstants, format: Format, out: Path, opti
     Raises
     ------
     InputError
-        where the format cannot hold the constants, or needs what is not known.
+        if the format cannot hold the constants, or needs what is not known.
     """
     if format == "json":
         write_text(out, constants.json_text())

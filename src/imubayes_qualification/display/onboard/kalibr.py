@@ -26,7 +26,7 @@ def kalibr_yaml(
     Raises
     ------
     InputError
-        where a triad has not three channels, or the rate or a noise density is not known.
+        if a triad has not three channels, or the rate or a noise density is not known.
     """
     if not rate:
         raise input_error("the sampling rate is not known", _WHERE, "a rate in Hz", "give --rate-hz")

@@ -87,7 +87,7 @@ def reported_budgets(report: QualificationReport, budgets: parts.UncertaintyBudg
 
 
 def _scaled_text(budgets: parts.UncertaintyBudgets) -> str:
-    """Return which budgets are scaled to their draws, as a sentence; empty where none is."""
+    """Return which budgets are scaled to their draws, as a sentence; empty if none is."""
     named = [f"{each.name} (× {each.scaled:.3f})" for each in budgets.quantities if each.scaled != 1]
     if not named:
         return ""

@@ -2,10 +2,10 @@
 
 A DCC is XML: administrative data from the certificate block and the campaign, then every quantity that the pages
 certify: those of the standards that were measured, each limit at its worst temperature, true mounting angles,
-determined combinations and Δk.  A D-SI `real` has U, k and the coverage probability (`expandedMU`); where the interval
+determined combinations and Δk.  A D-SI `real` has U, k and the coverage probability (`expandedMU`); if the interval
 is not symmetric, u with the ends of the interval (`coverageIntervalMU`).  The statements are those of the pages:
 decision rules, conformity to each limit, traceability, what stands against the certificate, what it lacks and what U
-omits.  What D-SI has no unit for is left out and named.
+omits.  A quantity without a unit in D-SI is left out and named.
 
 The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
 quantity: its name, D-SI unit, value and standard uncertainty, what the pages state of it, and its row of the

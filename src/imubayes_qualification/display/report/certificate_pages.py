@@ -186,7 +186,7 @@ def _traceability(report: QualificationReport, found: certificates.Certificate) 
 
 
 def _floors(report: QualificationReport) -> Iterator[str]:
-    """Yield which U are the capability of the laboratory; nothing where none is."""
+    """Yield which U are the capability of the laboratory; nothing if none is."""
     if report.floors:
         own = {each.members[0]: (each.symbol, each.label) for each in report.standards if len(each.members) == 1}
         named = "; ".join(

@@ -53,7 +53,7 @@ class Items:
 
 
 def without_empty_columns(table: Sheet, of: str | None = None) -> Sheet:
-    """Return a table without empty columns, such as the unit of an input where all inputs are runs; `of` one head."""
+    """Return a table without empty columns, such as the unit of an input if all inputs are runs; `of` one head."""
     kept = (
         place
         for place, head in enumerate(table.head)
@@ -217,7 +217,7 @@ def hue(place_: int) -> str:
 
 
 def line(place_: int) -> Literal["-", "--", "-.", ":"]:
-    """Return the line style of a channel by its place: channels can be told apart without colour."""
+    """Return the line style of a channel by its place: channels can be distinguished without colour."""
     return LINES[place_ % len(LINES)]
 
 

@@ -1,4 +1,4 @@
-"""What the model takes as exact of site and equipment: what of it is in every U, and what U omits of each quantity."""
+"""Properties of site and equipment that the model takes as exact: those in every U, and those that U omits."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from imubayes_qualification.budgets.taken_as_exact import OMITTED, ExactInput
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.document import without_empty_columns
 
-# Included inputs are told from this ratio of uncertainties on.
+# Included inputs are distinguished from this ratio of uncertainties on.
 _MATTERS = 1.1
 # Share of the omitted variance, by each effect alone, from which on an effect is named as its cause.
 _CAUSE = 0.1
@@ -56,7 +56,7 @@ BESIDE = "U omits"
 
 
 def included_table(report: QualificationReport) -> Sheet | None:
-    """Return what is taken as exact and is in every U, with what it does; None where nothing of it matters."""
+    """Return what is taken as exact and is in every U, with what it does; None if nothing of it matters."""
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
     symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
     symbols |= {each.name: each.symbol for each in report.standards}
@@ -111,7 +111,7 @@ def omitted_beside(report: QualificationReport) -> dict[str, str]:
 
 
 def omitted_factor(ratio: float) -> str:
-    """Return the factor by which what U omits would multiply it, as text; empty where that is not worth saying."""
+    """Return the factor by which what U omits would multiply it, as text; empty if that is not worth saying."""
     return f"× {ratio_text(ratio)}" if ratio > OMITTED else ""
 
 
@@ -158,7 +158,7 @@ def _causes(inputs: Sequence[ExactInput], name: str) -> tuple[ExactInput, ...]:
 
 
 def omitted_table(found: Sequence[Omission]) -> Sheet | None:
-    """Return what U omits, a row for each quantity or table with its worst; None where it omits nothing."""
+    """Return what U omits, a row for each quantity or table with its worst; None if it omits nothing."""
     groups: dict[tuple[Kind, str, str], list[Omission]] = {}
     for each in found:
         groups.setdefault((each.kind, each.symbol, each.unit), []).append(each)
@@ -191,7 +191,7 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
 
 
 def sensitivity_table(report: QualificationReport) -> Sheet | None:
-    """Return what an error of one unit of each cause that U omits does to the quantities; None where there is none.
+    """Return what an error of one unit of each cause that U omits does to the quantities; None if there is none.
 
     Of a cause with several parameters, as the thermometer in each run, what independent errors of all do, and what one
     that all have in common does; of the channels of a quantity the one that is moved most in units of its u.
@@ -265,7 +265,7 @@ def _moved(causes: Sequence[ExactInput], line: StandardEstimate) -> tuple[float,
 
 
 def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
-    """Return what U omits in one table, as a sentence for its note; empty where it omits nothing."""
+    """Return what U omits in one table, as a sentence for its note; empty if it omits nothing."""
     causes = dict.fromkeys(_named(cause) for each in found if each.kind == kind for cause in each.causes)
     if not any(each.kind == kind for each in found):
         return ""

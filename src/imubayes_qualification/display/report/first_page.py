@@ -52,7 +52,7 @@ def _sentence(found: record.Conformity) -> str:
 
 
 def alarms(report: record.QualificationReport) -> list[str]:
-    """Return what stands against the use of the numbers, most serious first; also where there is no specification."""
+    """Return what stands against the use of the numbers, most serious first; also if there is no specification."""
     convergence, adequacy = report.convergence, report.adequacy
     if not convergence.converged:
         return [words.OBSTACLES["not_converged"] + f" {convergence.message}", *_incomplete(report)]
@@ -132,7 +132,7 @@ def limits_table(
     Parameters
     ----------
     components : quantity that is the length of a vector → its components as text.
-    reference : T_ref, which holds where a limit has no range of temperatures.
+    reference : T_ref, which holds if a limit has no range of temperatures.
     """
     rows = []
     for limit in limits:

@@ -1,8 +1,8 @@
 """A document as PDF/A-3, set by Typst, with the record attached as `report.json`.
 
 Fonts are those that come with Typst and with Matplotlib, so that the same input gives the same bytes everywhere.  They
-have no Chinese, Japanese or Korean characters: where a document has such, as in a serial number, a font of the system
-that has them is taken as well; where there is none, each stands as its code point, U+6D4B.
+have no Chinese, Japanese or Korean characters: if a document has such, as in a serial number, a font of the system
+that has them is taken as well; if there is none, each stands as its code point, U+6D4B.
 """
 
 import json
@@ -26,7 +26,7 @@ from imubayes_qualification.display.report.document import Drawings, ReportDocum
 
 typst: Any = ExtraPackage("typst")
 # A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
-# where a row of the longest texts, with the gap beside each, fits the page.
+# if a row of the longest texts, with the gap beside each, fits the page.
 _NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
 _BREAK = "\u200b"
 # Names of quantities may break at their dots, underscores and brackets; a number has none before a letter, and a symbol
@@ -41,12 +41,12 @@ def pdf_file(document: ReportDocument, record: str, issued: date | None = None) 
     Parameters
     ----------
     record : JSON text of the record, which is attached.
-    issued : date of the document; the first of January 1970 where None, so that the same input gives the same bytes.
+    issued : date of the document; the first of January 1970 if None, so that the same input gives the same bytes.
 
     Raises
     ------
     InputError
-        where Typst is not installed.
+        if Typst is not installed.
     """
     _need_typst()
     with tempfile.TemporaryDirectory() as scratch:
@@ -103,7 +103,7 @@ def _system_fonts() -> tuple[str, ...]:
 
 @cache
 def _system_font(character: str) -> str | None:
-    """Return a font file of the system that has a character, the first by name; None where there is none."""
+    """Return a font file of the system that has a character, the first by name; None if there is none."""
     return next((font for font in _system_fonts() if ord(character) in _characters_of(font)), None)
 
 

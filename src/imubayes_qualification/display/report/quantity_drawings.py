@@ -50,7 +50,7 @@ def bar_drawings(budgets: Sequence[QuantityBudget]) -> Drawings:
 def _in_parts[T: (QuantityBudget, ResultLine)](
     draw: Callable[[Sequence[T], int, int], Drawing], rows: Sequence[T]
 ) -> list[Drawing]:
-    """Return drawings of at most 30 rows each, about the same number; `draw` is told which of how many it makes."""
+    """Return drawings of at most 30 rows each, about the same number; `draw` receives which of how many it makes."""
     count = -(-len(rows) // _MOST_ROWS)
     size = -(-len(rows) // count)
     parts = [rows[start : start + size] for start in range(0, len(rows), size)]
@@ -160,7 +160,7 @@ _CAPTION = (
 
 
 def forest_drawings(results: Sequence[ResultLine]) -> Drawings | None:
-    """Return the forest plot in drawings of at most 30 rows; None where no parameter has a normal prior."""
+    """Return the forest plot in drawings of at most 30 rows; None if no parameter has a normal prior."""
     lines = [line for line in results if line.prior_mean is not None and line.prior_sd and line.estimate is not None]
     if not lines:
         return None

@@ -218,7 +218,7 @@ def _page(report: QualificationReport, annexes: Sequence[Annex] | None) -> bytes
 
 
 def known_annexes(asked: Sequence[str] | None) -> tuple[Annex, ...] | None:
-    """Return the annexes that are asked for by name, `all` or `none`; None where nothing is asked for.
+    """Return the annexes that are asked for by name, `all` or `none`; None if nothing is asked for.
 
     Raises
     ------
@@ -282,7 +282,7 @@ def write_report(report: QualificationReport, files: Sequence[Path], annexes: Se
     ----------
     annexes : of page and PDF; None for all of a page, and for the results alone of a PDF.
     """
-    # What a format lacks is told before any file is written.
+    # What a format lacks is reported before any file is written.
     contents = [_WRITERS[file.suffix.lower()][0](report, annexes) for file in files]
     for file, content in zip(files, contents, strict=True):
         file.parent.mkdir(parents=True, exist_ok=True)

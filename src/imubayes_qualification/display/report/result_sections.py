@@ -164,7 +164,7 @@ def mounting_section(
 
 
 def _like(value: float, written: str) -> str:
-    """Return a value with the decimals of a number as it is written; four where there is none."""
+    """Return a value with the decimals of a number as it is written; four if there is none."""
     number, _, decimals = written.partition(".")
     return f"{value:.{len(decimals) if decimals.isdigit() else 4 * (not number.isdigit())}f}"
 

@@ -1,7 +1,7 @@
 """Drawings of a unit for the qualification report: its errors, and the geometry of its mountings.
 
 Errors are drawn against rate, angle and temperature, with limits, coverage band and what the model leaves.  Mountings
-show where the sensitive axes point, and what was known of the angles before and after the calibration.
+show if the sensitive axes point, and what was known of the angles before and after the calibration.
 """
 
 import math
@@ -52,7 +52,7 @@ CAPTION = (
 
 
 def error_drawings(data: report_pictures.PictureData) -> Drawings | None:
-    """Return the drawings of errors; None where there are none."""
+    """Return the drawings of errors; None if there are none."""
     found = [_error_drawing(picture) for picture in data.errors]
     return Drawings(found, CAPTION) if found else None
 
@@ -170,14 +170,14 @@ _DENSITIES = (
 
 
 def mounting_drawings(data: report_pictures.PictureData) -> Drawings | None:
-    """Return the geometry of every mounting; None where there is none."""
+    """Return the geometry of every mounting; None if there is none."""
     return _by_mounting(_geometry, data.mountings, _GEOMETRY)
 
 
 def _by_mounting[Drawn: (report_pictures.MountingPicture, report_pictures.AngleDensity)](
     draw: Callable[[str, Sequence[Drawn]], Drawing], parts: Sequence[Drawn], caption: str
 ) -> Drawings | None:
-    """Return a drawing of the parts of each mounting; None where there are none."""
+    """Return a drawing of the parts of each mounting; None if there are none."""
     names = dict.fromkeys(each.mounting for each in parts)
     found = [draw(name, [each for each in parts if each.mounting == name]) for name in names]
     return Drawings(found, caption) if found else None
@@ -247,7 +247,7 @@ def _arrow(axes: Axes, tip: np.ndarray, colour: str, style: object, width: float
 
 
 def angle_drawings(data: report_pictures.PictureData) -> Drawings | None:
-    """Return prior against posterior of the mounting angles, one drawing per mounting; None where there are none."""
+    """Return prior against posterior of the mounting angles, one drawing per mounting; None if there are none."""
     return _by_mounting(_densities, data.angles, _DENSITIES)
 
 

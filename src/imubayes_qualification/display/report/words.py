@@ -81,7 +81,7 @@ RULE_MEANS: dict[RuleName, str] = {
     "specific_risk": "accepted if 1 − p_c is at most that",
     "global_risk": "accepted within the limits less w at each, which the production and this risk determine",
 }
-"""What a rule accepts (ISO/IEC 17025, 7.8.6)."""
+"""Acceptance of a rule (ISO/IEC 17025, 7.8.6)."""
 
 
 def rule_text(limit: record.LimitOutcome) -> str:
@@ -116,7 +116,7 @@ Stated = record.ReportedEstimate | record.LimitOutcome
 
 
 def value_text(found: Stated) -> str:
-    """Return what is stated of a quantity: y ± U; y [low; high], its interval, where this is not symmetric."""
+    """Return what is stated of a quantity: y ± U; y [low; high], its interval, if this is not symmetric."""
     error, u = found.monte_carlo, found.standard_uncertainty
     if found.estimate is None or u is None:
         why = found.withheld if isinstance(found, record.ReportedEstimate) else None
@@ -162,7 +162,7 @@ def digits_text(lines: Sequence[Stated]) -> str:
 
 
 def _not_below(expanded: float, step: float) -> float:
-    """Return what U is rounded from: more than it where rounding would take over a twentieth of it (EA-4/02, 6.3)."""
+    """Return what U is rounded from: more than it if rounding would take over a twentieth of it (EA-4/02, 6.3)."""
     written = float(rounded((expanded,), step)[0])
     if written >= _LEAST_WRITTEN * expanded:
         return expanded
@@ -170,7 +170,7 @@ def _not_below(expanded: float, step: float) -> float:
 
 
 def factor_text(found: Stated) -> str:
-    """Return the coverage factor of y ± U; what the interval is where there is none."""
+    """Return the coverage factor of y ± U; what the interval is if there is none."""
     if found.monte_carlo is None or found.monte_carlo.digits == 0:
         return NO_NUMBER
     if found.interval == "symmetric":
@@ -179,7 +179,7 @@ def factor_text(found: Stated) -> str:
 
 
 def more_draws_text(report: record.QualificationReport) -> str:
-    """Return how many numbers are withheld for too few draws and what gives them; empty where none is."""
+    """Return how many numbers are withheld for too few draws and what gives them; empty if none is."""
     errors = [line.monte_carlo for line in report.estimates if line.withheld == "monte_carlo_error"]
     needed = max((error.draws_needed for error in errors if error is not None), default=0.0)
     if not errors:
@@ -192,7 +192,7 @@ def more_draws_text(report: record.QualificationReport) -> str:
 
 
 def reference_temperature(report: record.QualificationReport) -> str:
-    """Return T_ref of the thermal effects of the model with its unit; each by effect where they differ."""
+    """Return T_ref of the thermal effects of the model with its unit; each by effect if they differ."""
     stated = {
         effect.name: effect.options["reference_degC"]
         for effect in report.provenance.effects
@@ -244,7 +244,7 @@ def chance(value: float, error: float) -> str:
 
 
 def risk_text(risk: float | None) -> str:
-    """Return a risk in per cent; an en dash where there is none."""
+    """Return a risk in per cent; an en dash if there is none."""
     if risk is None:
         return NO_NUMBER
     return f"{significant(100 * risk, 2)} %" if risk >= 1e-4 else "< 0.01 %"

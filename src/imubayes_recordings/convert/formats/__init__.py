@@ -52,7 +52,7 @@ KINDS = (
     RecordingKind("VectorNav sentences", vectornav.is_vectornav, vectornav.VectorNavLog),
     RecordingKind("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
 )
-"""The kinds that the beginning of a file tells; any other file is a text table."""
+"""The kinds that the beginning of a file determines; any other file is a text table."""
 
 
 def _text(delimiter: str | None) -> RecordingKind:
@@ -64,7 +64,7 @@ def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
 
     Parameters
     ----------
-    delimiter : of a text table, where it is stated.
+    delimiter : of a text table, if it is stated.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What one cell of a text table holds: a number, nothing, a date, a time of day, or both."""
+"""Content of one cell of a text table: a number, nothing, a date, a time of day, or both."""
 
 import math
 import re
@@ -40,7 +40,7 @@ def number(cell: str) -> float:
 
 
 def is_number(cell: str) -> bool:
-    """Tell whether a cell is a number; `nan` and `inf` are, an empty cell is not."""
+    """Return whether a cell is a number; `nan` and `inf` are, an empty cell is not."""
     try:
         float(cell)
     except ValueError:

@@ -13,7 +13,7 @@ from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, Sour
 
 MAGICS = (b"\xa3\x95\x80", b"FMT, ", b"FMT,")
 _SENSORS = ("IMU", "IMU2", "IMU3", "ACC", "ACC1", "ACC2", "ACC3", "GYR", "GYR1", "GYR2", "GYR3", "IMT")
-# Of the log structure of ArduPilot, where the units are not in the log.
+# Of the log structure of ArduPilot, if the units are not in the log.
 _UNITS = {"Acc": "m/s^2", "Gyr": "rad/s", "Tim": "us", "Sam": "us", "T": "degC"}
 _INSTANCE = "I"
 

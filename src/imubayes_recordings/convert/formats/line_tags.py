@@ -25,7 +25,7 @@ class TaggedLine:
     Attributes
     ----------
     kinds : of the cells.
-    names : of the cells; empty where no line lists them.
+    names : of the cells; empty if no line lists them.
     labels : places of the cells that hold the same word in every line.
     """
 
@@ -48,7 +48,7 @@ class LineTags:
     lines: Mapping[str, TaggedLine]
 
     def tag_of(self, cells: Sequence[str]) -> str:
-        """Return the tag of a line; empty where it has none."""
+        """Return the tag of a line; empty if it has none."""
         return plain_tag(cells[self.column]) if len(cells) > self.column else ""
 
     def beside(self, cells: Sequence[str]) -> list[str]:
@@ -66,7 +66,7 @@ def find_tags(
 ) -> LineTags | None:
     """Return the tags of lines, or None.
 
-    One word alone, in every line, is a tag where it names a sensor and there are no names for all columns.  Names that
+    One word alone, in every line, is a tag if it names a sensor and there are no names for all columns.  Names that
     begin with a tag are those of its lines.
 
     Parameters
@@ -94,7 +94,7 @@ def _listed(above: Sequence[Sequence[str]]) -> dict[str, tuple[str, ...]]:
 
 
 def _has_both(names: Sequence[str]) -> bool:
-    """Tell whether names for all columns are those of accelerometers and of gyros: each line holds both."""
+    """Return whether names for all columns are those of accelerometers and of gyros: each line holds both."""
     return {"ax", "gx"} <= {role.target for name in names if (role := role_of(name))}
 
 
@@ -113,7 +113,7 @@ def _line(
 
 
 def _tag_column(rows: Sequence[Sequence[str]], named: bool) -> int | None:
-    """Return the column whose words, or numbers, say what each line holds; None where there is none."""
+    """Return the column whose words, or numbers, say what each line holds; None if there is none."""
     for place in range(min(map(len, rows))):
         words = [plain_tag(row[place]) for row in rows]
         if all(map(_is_word, words)) and _are_tags(words, place == 0 and not named):
@@ -123,7 +123,7 @@ def _tag_column(rows: Sequence[Sequence[str]], named: bool) -> int | None:
 
 
 def _are_tags(words: Sequence[str], first: bool) -> bool:
-    """Tell whether the words of a column say what the lines hold; `first` is of the first without names for all."""
+    """Return whether the words of a column say what the lines hold; `first` is of the first without names for all."""
     distinct = set(words)
     sensors = any(map(_names_a_sensor, distinct))
     if len(distinct) > 1:
@@ -132,7 +132,7 @@ def _are_tags(words: Sequence[str], first: bool) -> bool:
 
 
 def _are_numbers(first: Sequence[str], second: Sequence[str]) -> bool:
-    """Tell whether few whole numbers change from line to line, beside a time that never goes back."""
+    """Return whether few whole numbers change from line to line, beside a time that never goes back."""
     if not all(cell.isdigit() for cell in first) or not all(map(is_number, second)):
         return False
     times = [float(cell) for cell in second]

@@ -22,7 +22,7 @@ _COLUMNS = (SourceColumn("time_s", "s"), *(SourceColumn(name, "count") for name 
 
 
 def is_rawimu(head: bytes) -> bool:
-    """Tell whether the beginning of a file holds a RAWIMU line."""
+    """Return whether the beginning of a file holds a RAWIMU line."""
     return any(line.startswith(MAGICS) for line in head.splitlines()[:_SEARCHED])
 
 

@@ -22,7 +22,7 @@ _LINES_FOR_ONE = 1000  # of which one may be damaged
 
 
 class TextRecording(SourceRecording):
-    """A text table; where the first word of each line says what it holds, each word is a topic."""
+    """A text table; if the first word of each line says what it holds, each word is a topic."""
 
     def __init__(self, file: Path, delimiter: str | None = None) -> None:
         self.file, self.layout = file, find_layout(file, delimiter)
@@ -104,14 +104,14 @@ class TextRecording(SourceRecording):
                 )
 
     def _no_data(self, line: str) -> bool:
-        """Tell whether a line is a comment, or the heading once more, as of a logger that was started again."""
+        """Return whether a line is a comment, or the heading once more, as of a logger that was started again."""
         if line.strip() == self.layout.head:
             return True
         sign = COMMENT_SIGN.match(line)
         return sign is not None and sign[1] != self.layout.delimiter
 
     def _whole(self, rows: Sequence[tuple[int, str]], positions: Sequence[int]) -> np.ndarray | None:
-        """Return many lines of plain numbers at once; None where any needs a closer look."""
+        """Return many lines of plain numbers at once; None if any needs a closer look."""
         width, mark = len(self.layout.kinds), self.layout.delimiter
         lines = [line for _, line in rows]
         if any((line.count(mark) + 1 if mark else len(line.split())) < width or '"' in line for line in lines):
@@ -159,7 +159,7 @@ def _unit(kind: CellKind) -> str:
 
 
 def _columns(line: TaggedLine) -> tuple[SourceColumn, ...]:
-    """Return the columns of lines with a tag; without names where no line lists them."""
+    """Return the columns of lines with a tag; without names if no line lists them."""
     names = line.names or ("",) * len(line.kinds)
     return tuple(
         SourceColumn(name, _unit(kind), place in line.labels)

@@ -23,7 +23,7 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": 
 # A sign of numpy.savetxt, MATLAB, C and others before a line that is not data.
 COMMENT_SIGN = re.compile(r"\s*(#+|%+|!+|\*+|;+|//+|--+(?![\d.])) *")
 _MOST_LINES = 300  # among which the first numbers are sought
-_SAMPLE = 40  # lines by which the kinds of the columns are told
+_SAMPLE = 40  # lines by which the kinds of the columns are known
 _LABELLED = 0.8  # share of the lines with the same labels
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
 _REMARKS = ("comment", "comments", "remark", "remarks")
@@ -39,15 +39,15 @@ class TextLayout:
     delimiter : None for any number of spaces.
     decimal_comma : whether numbers have a comma for the decimal point.
     first : line of the first data, from 1.
-    heading : line of the names, from 1; 0 where none stands above the numbers.
-    names : of the columns; more or fewer than `kinds` where they do not fit.
-    units : from a line of units below the names; empty where there is none.
+    heading : line of the names, from 1; 0 if none stands above the numbers.
+    names : of the columns; more or fewer than `kinds` if they do not fit.
+    units : from a line of units below the names; empty if there is none.
     kinds : what each column holds, as many as data fields.
     head : the line of the names, which may come again.
-    labels : what stands between the numbers, where each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
-    tags : the words that say what each line holds; None where lines do not say it.
+    labels : what stands between the numbers, if each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
+    tags : the words that say what each line holds; None if lines do not say it.
     label_columns : columns that hold the same word in every line.
-    rate : the sampling rate that the lines above the table state; None where they state none.
+    rate : the sampling rate that the lines above the table state; None if they state none.
     """
 
     encoding: str
@@ -101,7 +101,7 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
 
 
 def _names_all(names: Sequence[str], width: int) -> bool:
-    """Tell whether names are those of all columns, and one at least says what it is."""
+    """Return whether names are those of all columns, and one at least says what it is."""
     return len(names) == width and any(map(role_of, names))
 
 
@@ -117,7 +117,7 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         if _above(cells, point(typical)) or not _is_data(line, cells, below, separator):
             continue
         sample = [point(split_cells(text, separator)) for _, text in lines[index : index + _SAMPLE]]
-        # A last cell that is empty is no column only where it is empty in every line.
+        # A last cell that is empty is no column only if it is empty in every line.
         width = max(len(_without_trailing(row)) for row in sample if len(row) == len(cells))
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
         width = len(cells) if len(names) == len(cells) else width
@@ -153,7 +153,7 @@ def _label_columns(sample: Sequence[Sequence[str]], kinds: Sequence[CellKind]) -
 
 
 def _has_commas(cells: Sequence[str], separator: str | None) -> bool:
-    """Tell whether numbers have decimal commas: in quotes between commas; three digits behind each are thousands."""
+    """Return whether numbers have decimal commas: in quotes between commas; three digits behind each are thousands."""
     digits = [len(re.split("[,eE]", cell)[1]) for cell in cells if has_decimal_comma(cell)]
     return any(separator != "," or count != 3 for count in digits)
 
@@ -213,7 +213,7 @@ def _without_trailing(cells: Sequence[str]) -> list[str]:
 
 
 def _is_data(line: str, cells: Sequence[str], following: Sequence[str], separator: str | None) -> bool:
-    """Tell data from names: it holds a number, and no text in a column that holds a number in the next line."""
+    """Distinguish data from names: it holds a number, and no text in a column that holds a number in the next line."""
     sign = COMMENT_SIGN.match(line)
     if sign and sign[1] != separator:
         return False
@@ -229,7 +229,7 @@ def _heading(
 ) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
     """Return the last line above the numbers with as many names as data fields, and the units below it; else the last.
 
-    A line with a comment sign has names only where they are as many as the data fields: it may say anything.
+    A line with a comment sign has names only if they are as many as the data fields: it may say anything.
     """
     found = [(number, names) for number, line in reversed(lines) if (names := _fitting(line, separator, widths))]
     if not found:
@@ -255,7 +255,7 @@ def _fitting(line: str, separator: str | None, widths: set[int]) -> tuple[str, .
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
-    """Tell whether the cells of a line are units: all of them, or most below names that say what the columns are."""
+    """Return whether the cells of a line are units: all of them, or most below names that say what the columns are."""
     filled = [cell for cell in cells if cell]
     known = sum(map(is_unit, filled))
     named = [cell for cell in above if cell and not is_unit(cell) and role_of(cell)]
@@ -279,7 +279,7 @@ def _last_names(
 
 
 def _typical(lines: Sequence[str], stated: str | None) -> list[str]:
-    """Return the cells of a late line, with as many as most lines there have; none where they are few, or tagged."""
+    """Return the cells of a late line, with as many as most lines there have; none if they are few, or tagged."""
     late = [split_cells(line, _separator(line, stated)[0]) for line in lines[len(lines) // 2 :]]
     widths = [len(row) for row in late]
     usual = max(set(widths), key=widths.count)
@@ -288,7 +288,7 @@ def _typical(lines: Sequence[str], stated: str | None) -> list[str]:
 
 
 def _above(cells: Sequence[str], typical: Sequence[str]) -> bool:
-    """Tell whether a line stands above the table: fewer cells than its lines have, or text where they have none."""
+    """Return whether a line stands above the table: fewer cells than its lines have, or text if they have none."""
     kinds = [(kind_of([cell]), kind_of([below])) for cell, below in zip(cells, typical, strict=False)]
     return len(cells) < len(typical) or any(own is CellKind.TEXT is not below for own, below in kinds)
 

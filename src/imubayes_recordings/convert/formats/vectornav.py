@@ -1,7 +1,7 @@
 """VectorNav sentences in text: `$VNIMU,…*CS` and others, with the fields that the maker's manual defines.
 
 The fields have no names in the log: VN-100 User Manual, section on asynchronous messages.  A sentence whose checksum is
-wrong is left out and counted.  What stands before a sentence in its line, such as the time of a terminal, is not read.
+wrong is left out and counted.  Text before a sentence in its line, such as the time of a terminal, is not read.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,7 +40,7 @@ _FIELDS = {
 
 
 def is_vectornav(head: bytes) -> bool:
-    """Tell whether the beginning of a file holds sentences with accelerometers or gyros, and not in a table."""
+    """Return whether the beginning of a file holds sentences with accelerometers or gyros, and not in a table."""
     found = [line[line.index(_SIGN) + 1 :] for line in head.splitlines()[:-1] if _SIGN in line]
     return len(found) > 1 and any(line[:5].decode("ascii", "replace") in _FIELDS and b"*" in line for line in found)
 
@@ -96,7 +96,7 @@ class VectorNavLog(SourceRecording):
 
 
 def _agrees(body: bytes, check: bytes) -> bool:
-    """Tell whether the checksum agrees: two digits of all bytes between the signs by exclusive or, or four of a CRC."""
+    """Return whether the checksum agrees: two digits, the exclusive or of all bytes, or four digits, a CRC."""
     stated = check[:2]
     if len(check) > 2 or stated == b"XX":  # a 16-bit CRC, or none
         return True
