@@ -6,11 +6,10 @@ from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any, Literal
 
-import lazy_loader
-
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.extensions import answer_to, extensions
 from imubayes.inference.chains import Settings
@@ -24,7 +23,7 @@ from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.result_folder import write_result
 
 # What only a sampled fit needs.
-posterior_quantities: Any = lazy_loader.load("imubayes.results.posterior_quantities", suppress_warning=True)
+posterior_quantities: Any = DeferredModule("imubayes.results.posterior_quantities")
 
 
 def fit(

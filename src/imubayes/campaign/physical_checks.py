@@ -8,18 +8,18 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.earth import normal_gravity
 from imubayes.procedures import PROCEDURES
 
 if TYPE_CHECKING:
     from imubayes.campaign import reduction as reduce
 else:
-    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
+    reduce = DeferredModule("imubayes.campaign.reduction")  # only raw logs need it
 
 DEGREE = math.pi / 180
 TURN = 2 * math.pi

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.axis_directions import DIRECTION_COLUMNS, attitudes
@@ -28,13 +27,14 @@ from imubayes.campaign.sample_checks import without_counts
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Thermometer, Tumble
 from imubayes.foundations.covariates import recorded
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Procedure, Reduction, procedure_named
 
 if TYPE_CHECKING:
     from imubayes.campaign import reduction as reduce
 else:
-    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
+    reduce = DeferredModule("imubayes.campaign.reduction")  # only raw logs need it
 
 TURN = 2 * np.pi
 

@@ -10,20 +10,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.physical_checks import LEAST_SPREAD
 from imubayes.campaign.run_reader import Equipment, Loaded
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Run
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import InputError
 from imubayes.procedures import PROCEDURES
 
 if TYPE_CHECKING:
     from imubayes.campaign import reduction as reduce
 else:
-    reduce = lazy_loader.load("imubayes.campaign.reduction", suppress_warning=True)  # only raw logs need it
+    reduce = DeferredModule("imubayes.campaign.reduction")  # only raw logs need it
 
 LEAST_ROWS = 5  # of a channel, to determine a limit
 EQUAL_OUTPUT = 1e-9  # of the range of the outputs

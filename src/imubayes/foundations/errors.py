@@ -9,9 +9,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -107,17 +105,3 @@ def closest_first(word: str, options: Iterable[str], most: int = 8) -> str:
     near = difflib.get_close_matches(word, options, n=3, cutoff=0.5)
     listed = near + [option for option in options if option not in near]
     return ", ".join(listed[:most]) + (", …" if len(listed) > most else "")
-
-
-class ExtraPackage:
-    """A package that only an extra installs, imported when it is first used; ModuleNotFoundError if it is missing.
-
-    lazy_loader.load looks at every loaded module if a package is missing, and waits for ever if one of those is
-    lazy itself.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __getattr__(self, member: str) -> Any:
-        return getattr(import_module(self._name), member)

@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
-import lazy_loader
 import numpy as np
 
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import replacing
 
 if TYPE_CHECKING:
     import emcee
 else:
-    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
+    emcee = DeferredModule("emcee")  # takes long to import, and only sampling needs it
 
 _WORDS = {
     "data": "the data have changed",

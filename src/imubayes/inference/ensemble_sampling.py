@@ -20,9 +20,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-import lazy_loader
 import numpy as np
 
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.progress import duration, silent
 from imubayes.inference.chains import Chains, Settings
 from imubayes.inference.checkpoint import Checkpoint, append
@@ -34,7 +34,7 @@ from imubayes.inference.mixture_proposal import MixtureProposal
 if TYPE_CHECKING:
     import emcee
 else:
-    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
+    emcee = DeferredModule("emcee")  # takes long to import, and only sampling needs it
 
 # Stretch and DE moves, the safety net for what is not Gaussian, take this share of the steps beside a Laplace proposal,
 # and the second beside gradients, which lead to no other mode.  DESnookerMove of emcee 3.1.6 is biased.

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-import lazy_loader
 import numpy as np
 
 if TYPE_CHECKING:
     import emcee
 else:
-    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
+    emcee = DeferredModule("emcee")  # takes long to import, and only sampling needs it
 
 Single = Callable[[jax.Array], jax.Array]
 """A log density of one point, (D,) → (), which JAX can differentiate."""

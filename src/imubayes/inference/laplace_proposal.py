@@ -19,11 +19,11 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import jax
-import lazy_loader
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_device
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.inference.nested_laplace import NestedLaplace, to_normals, to_points
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
@@ -31,7 +31,7 @@ from imubayes.model.problem import Problem
 if TYPE_CHECKING:
     import emcee
 else:
-    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
+    emcee = DeferredModule("emcee")  # takes long to import, and only sampling needs it
 
 
 # Points per vectorised block: larger blocks exceed the cache of a core.

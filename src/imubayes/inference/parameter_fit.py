@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lazy_loader
 import numpy as np
 
 from imubayes.compiled.in_numpy import in_numpy
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.inference.least_squares import LeastSquares
 from imubayes.model.likelihood import least_squares_form, pseudo_values
 from imubayes.model.noise_covariance import whiten, whitener
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imubayes.inference import levenberg_marquardt
 else:
     # Takes long to import, and a fit whose program is kept does not trace it.
-    levenberg_marquardt = lazy_loader.load("imubayes.inference.levenberg_marquardt", suppress_warning=True)
+    levenberg_marquardt = DeferredModule("imubayes.inference.levenberg_marquardt")
 
 _STEPS = 30
 _TOLERANCE = 1e-3

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lazy_loader
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import counted
 from imubayes.inference.chains import Chains, Settings, thinned, walkers_for
@@ -36,7 +36,7 @@ from imubayes.model.problem import Problem, compile_predictions
 if TYPE_CHECKING:
     from imubayes.inference import ensemble_sampling
 else:
-    ensemble_sampling = lazy_loader.load("imubayes.inference.ensemble_sampling", suppress_warning=True)
+    ensemble_sampling = DeferredModule("imubayes.inference.ensemble_sampling")
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.

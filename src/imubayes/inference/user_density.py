@@ -17,10 +17,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from arviz_base import from_dict
 
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell, silent
 from imubayes.inference.chains import Chains, Settings, walkers_for
@@ -36,7 +36,7 @@ from imubayes.inference.user_function import CountedDensity, of_many_points
 if TYPE_CHECKING:
     import xarray
 else:
-    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
+    xarray = DeferredModule("xarray")  # takes long to import, and few commands need it
 
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lazy_loader
 import numpy as np
 
 from imubayes.effects.base import RecordEffect, Stage
 from imubayes.foundations.arrays import Array, Float, compose, exponential, right_jacobian, small_rotation, take
 from imubayes.foundations.campaign_data import Campaign, Tumble
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Records, SignalPath
 from imubayes.model.assembly import Assembly
 from imubayes.model.nodes_and_entries import NodeTable, servo_runs
@@ -34,7 +34,7 @@ from imubayes.procedures.servo_table import driving_channel, turns_of
 if TYPE_CHECKING:
     import diffrax
 else:
-    diffrax = lazy_loader.load("diffrax")  # takes long to import, and few fits need it
+    diffrax = DeferredModule("diffrax")  # takes long to import, and few fits need it
 
 
 # Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the sixth is 1e-9.

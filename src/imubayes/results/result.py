@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 import polars as pl
 
 from imubayes.foundations.arrays import cholesky, solve_lower
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.covariates import shown
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.records import Presented
 from imubayes.foundations.units import to_si
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 else:
-    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
+    xarray = DeferredModule("xarray")  # takes long to import, and few commands need it
 
 
 def _at_mode(problem: Problem, mode):

@@ -9,11 +9,11 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 import polars as pl
 import polars.selectors as cs
 
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.quantity_names import family_of
 from imubayes.results.folder_files import AGAIN, POSTERIOR, RESIDUALS, SUMMARY, checked, damaged, read_record
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 else:
-    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
+    xarray = DeferredModule("xarray")  # takes long to import, and few commands need it
 
 
 _SAMPLE = ("chain", "draw")

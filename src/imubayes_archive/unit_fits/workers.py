@@ -15,7 +15,8 @@ from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from imubayes.foundations.errors import ExtraPackage, InputError, input_error
+from imubayes.foundations.deferred_modules import DeferredModule
+from imubayes.foundations.errors import InputError, input_error
 from imubayes_archive.unit_fits import batch_folder
 from imubayes_archive.unit_fits.fit_chunk import fit_chunk, in_process
 from imubayes_archive.unit_fits.posterior_table import Outcome, UnitPosterior
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future, KilledWorker
 
 # Of the extra `cluster`.
-dask: Any = ExtraPackage("dask")
-distributed: Any = ExtraPackage("distributed")
+dask: Any = DeferredModule("dask")
+distributed: Any = DeferredModule("distributed")
 
 # Chunks under way for each thread of the workers: one in work, one waiting.
 _AHEAD = 2

@@ -6,10 +6,10 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import polars as pl
 
 from imubayes.display.progress import progress_of
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import several
 from imubayes.results.change_records import read_diagnosis
@@ -36,7 +36,7 @@ from imubayes_qualification.onboard.recording_files import (
 )
 from imubayes_recordings.noise_analysis.noise_record import of_record
 
-report_files: Any = lazy_loader.load("imubayes_qualification.display.report.report_files", suppress_warning=True)
+report_files: Any = DeferredModule("imubayes_qualification.display.report.report_files")
 
 
 def apply(

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import lazy_loader
-
 from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, TableZero
 from imubayes.campaign.setup_gate.explanations import Explanation, equally_good
@@ -23,14 +21,15 @@ from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_ri
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.wrong_records import WrongRecord, agreement_text, record_remedy
 
 if TYPE_CHECKING:
     from imubayes.campaign.setup_gate import record_remedies, remedies
 else:  # words for mistakes that are found
-    record_remedies = lazy_loader.load("imubayes.campaign.setup_gate.record_remedies", suppress_warning=True)
-    remedies = lazy_loader.load("imubayes.campaign.setup_gate.remedies", suppress_warning=True)
+    record_remedies = DeferredModule("imubayes.campaign.setup_gate.record_remedies")
+    remedies = DeferredModule("imubayes.campaign.setup_gate.remedies")
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import polars as pl
 
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record
 from imubayes.results.folder_files import CAUSES, add_to, added, checked
 from imubayes.results.summary import Summary
 
 # They load JAX.
-effects_behind: Any = lazy_loader.load("imubayes.display.loop.effects_behind", suppress_warning=True)
-fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
+effects_behind: Any = DeferredModule("imubayes.display.loop.effects_behind")
+fit_file: Any = DeferredModule("imubayes.results.fit_file")
 
 # Changed if the effects behind the same differences come out otherwise, so that those that are kept are found anew.
 _METHOD = 1

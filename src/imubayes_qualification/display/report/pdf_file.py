@@ -21,10 +21,11 @@ from matplotlib.font_manager import findSystemFonts
 from matplotlib.ft2font import FT2Font
 
 from imubayes.display.layout import Sheet
-from imubayes.foundations.errors import ExtraPackage, input_error
+from imubayes.foundations.deferred_modules import DeferredModule
+from imubayes.foundations.errors import input_error
 from imubayes_qualification.display.report.document import Drawings, ReportDocument
 
-typst: Any = ExtraPackage("typst")
+typst: Any = DeferredModule("typst")
 # A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
 # if a row of the longest texts, with the gap beside each, fits the page.
 _NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.foundations.errors import ExtraPackage
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGICS = (b"\xa3\x95\x80", b"FMT, ", b"FMT,")
@@ -17,7 +17,7 @@ _SENSORS = ("IMU", "IMU2", "IMU3", "ACC", "ACC1", "ACC2", "ACC3", "GYR", "GYR1",
 _UNITS = {"Acc": "m/s^2", "Gyr": "rad/s", "Tim": "us", "Sam": "us", "T": "degC"}
 _INSTANCE = "I"
 
-reader: Any = ExtraPackage("pymavlink.DFReader")
+reader: Any = DeferredModule("pymavlink.DFReader")
 
 
 class DataFlashLog(SourceRecording):

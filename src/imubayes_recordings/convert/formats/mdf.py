@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.foundations.errors import ExtraPackage
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGIC = b"MDF     "
 _MASTER = "time"
 
-asammdf: Any = ExtraPackage("asammdf")
+asammdf: Any = DeferredModule("asammdf")
 
 
 class MdfRecording(SourceRecording):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.foundations.errors import ExtraPackage
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")
@@ -17,8 +17,8 @@ _MOST_ELEMENTS = 9  # of an array that is taken apart into columns
 _UNITS = {"linear_acceleration": "m/s^2", "angular_velocity": "rad/s", "temperature": "degC"}
 _ARRIVAL = "arrival"
 
-highlevel: Any = ExtraPackage("rosbags.highlevel")
-typesys: Any = ExtraPackage("rosbags.typesys")
+highlevel: Any = DeferredModule("rosbags.highlevel")
+typesys: Any = DeferredModule("rosbags.typesys")
 
 
 class RosBag(SourceRecording):

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.foundations.errors import ExtraPackage
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGIC = b"TDSm"
 
-nptdms: Any = ExtraPackage("nptdms")
+nptdms: Any = DeferredModule("nptdms")
 
 
 class TdmsRecording(SourceRecording):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.foundations.errors import ExtraPackage
+from imubayes.foundations.deferred_modules import DeferredModule
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -15,7 +15,7 @@ _UNITS = {"gyro_rad": "rad/s", "accelerometer_m_s2": "m/s^2"}
 _OF_MESSAGE = {"sensor_accel": "m/s^2", "sensor_gyro": "rad/s", "vehicle_acceleration": "m/s^2",
                "vehicle_angular_velocity": "rad/s"}  # fmt: skip
 
-pyulog: Any = ExtraPackage("pyulog")
+pyulog: Any = DeferredModule("pyulog")
 
 
 class ULogRecording(SourceRecording):
