@@ -171,7 +171,7 @@ def test_a_fault_of_the_lanes_does_not_go_unseen(monkeypatch):
         raise TypeError("a fault")
 
     monkeypatch.setattr(chunks, "_in_lanes", faulty)
-    with pytest.warns(UserWarning, match="lanes failed: TypeError: a fault"):
+    with pytest.warns(UserWarning, match="one by one, because their joint computation failed: TypeError: a fault"):
         assert chunks._in_lanes_if_possible([], True) == []
 
 

@@ -1,6 +1,7 @@
 """Laws that every registered member keeps.  Each is a function that raises AssertionError, so that a test can show it a
 member that breaks it."""
 
+import math
 import re
 from collections.abc import Callable
 from functools import cache
@@ -366,16 +367,14 @@ def slow_covariance(member: type, values: dict, rows: int = 60, length: float = 
     """Return the covariance of rows that follow one another without a gap, from the states of each."""
     times = jnp.geomspace(length / 2, rows * length, 6)
     noise = instance(member, values)
+    spans = [RowSpan(i * length, length, 0.0 if i else math.inf, times) for i in range(rows)]
+    states = [jax.tree.map(np.asarray, noise.states(jax.tree.map(jnp.asarray, span))) for span in spans]
     found = np.zeros((rows, rows))
-    for i in range(rows):
-        span = RowSpan(jnp.asarray(i * length), jnp.asarray(length), jnp.asarray(0.0 if i else jnp.inf), times)
-        states = noise.states(span)
-        found[i, i], carried = float(states.variance), np.asarray(states.end)
-        if i == 0:
-            mean, over_row = np.asarray(states.mean), np.asarray(states.over_row)
+    for i, state in enumerate(states):
+        found[i, i], carried = float(state.variance), state.end
         for j in range(i + 1, rows):
-            found[i, j] = found[j, i] = float(np.sum(carried * mean))
-            carried = carried * over_row
+            found[i, j] = found[j, i] = float(np.sum(carried * states[j].mean))
+            carried = carried * states[j].over_row
     return found
 
 

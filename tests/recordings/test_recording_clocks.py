@@ -36,7 +36,7 @@ def test_names_of_the_time(tmp_path: Path, name: str) -> None:
 def test_the_unit_of_the_time_is_guessed_and_said_or_named(tmp_path: Path, factor: float, name: str, unit: str) -> None:
     table, notes = read(tmp_path, np.round(EVEN * factor), name=name)
     np.testing.assert_allclose(table["time_s"], EVEN, atol=1e-9)
-    assert (f"guessed, time_unit = {unit}: mean step {10 * factor / 1e3:.5g}: 100 Hz" in notes) == bool(unit)
+    assert (f"time_unit = {unit}: the mean step of {10 * factor / 1e3:.5g} is 100 Hz" in notes) == bool(unit)
     since, notes = read(tmp_path, np.round((EVEN + 1.7e9) * factor), name=name)
     np.testing.assert_allclose(since["time_s"], EVEN, atol=1e-6)
 

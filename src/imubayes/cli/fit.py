@@ -163,7 +163,7 @@ def predict(
     verbose: Flag = False,
     trust: Trust = False,
 ) -> int:
-    """Test whether a fitted model predicts runs that it has not seen within its uncertainty.
+    """Test whether a fitted model predicts, within its uncertainty, runs that it has not seen.
 
     Example: imubayes predict results/spring campaigns/autumn --out results/autumn-predicted
 

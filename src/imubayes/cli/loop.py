@@ -318,7 +318,7 @@ def refit(
     out: Path,
     how: _HowRefitted = _LAPLACE,
 ) -> int:
-    """Fit again with the model file of a result edited: other priors, readings set aside with a reason.
+    """Fit again after an edit of the model file of a result: other priors, readings set aside with a reason.
 
     Example: imubayes refit results/first --model edited.toml --out results/third
 

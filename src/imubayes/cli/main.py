@@ -149,7 +149,7 @@ def _telling_what_is_not_kept() -> Iterator[None]:
 def _refuse(*issues: Issue, written: str = "") -> int:
     print("\n\n".join(str(issue) for issue in issues).translate(_CONTROL), file=sys.stderr)
     if len(issues) > 1:
-        print(f"\n{len(issues)} problems found{'' if written else '; nothing was written'}", file=sys.stderr)
+        print(f"\n{len(issues)} problems found", file=sys.stderr)
     if written:
         print(
             f"\nwritten to be corrected: {written}, with its faults at the head of campaign.toml; "

@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.foundations.deferred_modules import DeferredModule
+
 if TYPE_CHECKING:
     import emcee
 else:

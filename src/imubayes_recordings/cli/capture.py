@@ -37,8 +37,8 @@ def capture(
         written.
     until
         EFFECT=UNCERTAINTY, the largest standard uncertainties: accel_bias=0.3mg accel_scale_factor=300ppm
-        accel_misalignment=2arcmin gyro_bias=20deg/h gyro_scale_factor=0.1% gyro_misalignment=4arcmin by default. Less
-        is asked for by default of a motion: see the manual.
+        accel_misalignment=2arcmin gyro_bias=20deg/h gyro_scale_factor=0.1% gyro_misalignment=4arcmin by default; the
+        defaults of a motion are wider (see the manual).
     motion
         poses, held at rest; drill, turns about one axis after the other on a drill, a wheel or a chair on its side;
         wave, moved slowly by hand without rests.

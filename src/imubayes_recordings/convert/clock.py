@@ -239,7 +239,7 @@ def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
         usual = [unit for unit in usual if unit != "s"]
     if len(usual) == 1:
         unit = usual[0]
-        return unit, f"mean step {step:.5g}: {rates[unit]:.5g} Hz in {unit}; no other unit gives a usual rate"
+        return unit, f"the mean step of {step:.5g} is {rates[unit]:.5g} Hz in {unit}; no other unit gives a usual rate"
     raise input_error(
         f"the unit of the time is not known: its mean step is {step:.5g}",
         where,

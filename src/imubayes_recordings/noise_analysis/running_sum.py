@@ -18,8 +18,8 @@ from typing import IO
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction.log_survey import sampling_interval
 from imubayes.campaign.run_tables import RowBatch
+from imubayes.campaign.stream_checks import sampling_interval
 from imubayes.foundations.errors import input_error
 
 CHUNK = 1 << 17

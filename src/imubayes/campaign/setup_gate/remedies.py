@@ -55,7 +55,7 @@ def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         f"the zero of the angle of the {axis} axis is off by {off:+g} deg{_uncertainty(found)} "
         f"{subject_of(found.mistake)}",
         places.column(found.mistake, column),
-        "angles from the zero, at which the axes are as the table states them",
+        "angles counted from the position at which the axes are as the [[table]] states",
         f"add {_folded(-off):+g} to column '{column}' {subject_of(found.mistake)}",
     )
 
