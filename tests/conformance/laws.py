@@ -355,7 +355,7 @@ def variance_is_positive(member: type) -> None:
             assert 0 < degrees < np.inf, f"{member.name}: {degrees} degrees of freedom"
             continue
         if issubclass(member, SlowNoise):
-            covariance = slow_covariance(member, values)
+            covariance = slow_covariance(member, values, row_length(member, values))
             least = float(np.linalg.eigvalsh(covariance / np.abs(covariance).max())[0])
             assert least > -1e-12, f"{member.name}: covariance with an eigenvalue of {least:.1g}"
             continue
@@ -363,7 +363,12 @@ def variance_is_positive(member: type) -> None:
         assert 0 < found < np.inf, f"{member.name}: variance {found}"
 
 
-def slow_covariance(member: type, values: dict, rows: int = 60, length: float = 100.0) -> np.ndarray:
+def row_length(member: type, values: dict) -> float:
+    """Return the length of rows, s: those of a unit in motion are as short as a stroke of the hand."""
+    return 0.5 * float(values["time"]) if member.of_motion and "time" in values else 100.0
+
+
+def slow_covariance(member: type, values: dict, length: float, rows: int = 60) -> np.ndarray:
     """Return the covariance of rows that follow one another without a gap, from the states of each."""
     times = jnp.geomspace(length / 2, rows * length, 6)
     noise = instance(member, values)
@@ -381,11 +386,13 @@ def slow_covariance(member: type, values: dict, rows: int = 60, length: float = 
 def misstated_slow_noise_is_less_likely(member: type, rng: np.random.Generator) -> None:
     values = {name: float(value) for name, value in drawn_values(member, 3).items()}
     # White noise of a hundredth of the variance keeps the covariance of rows regular.
-    floor = 0.01 * slow_covariance(member, values)[1, 1] * np.eye(60)
-    drawn = np.linalg.cholesky(slow_covariance(member, values) + floor) @ rng.normal(size=(60, 20))
+    length = row_length(member, values)
+    true = slow_covariance(member, values, length)
+    floor = 0.01 * true[1, 1] * np.eye(60)
+    drawn = np.linalg.cholesky(true + floor) @ rng.normal(size=(60, 20))
 
     def likelihood(assumed: dict) -> float:
-        covariance = slow_covariance(member, assumed) + floor
+        covariance = slow_covariance(member, assumed, length) + floor
         squares = np.sum(drawn * np.linalg.solve(covariance, drawn))
         return float(-0.5 * squares - 0.5 * drawn.shape[1] * np.linalg.slogdet(covariance)[1])
 

@@ -33,7 +33,7 @@ EFFECTS = {
     if issubclass(effect, SignalEffect | RecordEffect) and "injection" not in effect.needs
 }
 # Their code branches, which has no form as an expression: they stand by their name and the sentence of their formula.
-BY_NAME = {"gyro_dead_zone", "accel_dead_zone", "converter_dead_zone"}
+BY_NAME = {"gyro_dead_zone", "accel_dead_zone", "converter_dead_zone", "gyro_bandwidth", "accel_bandwidth"}
 EXPERIENCED = [f"{letter}_{axis}" for letter in "Ωf" for axis in "iosp"] + ["α_i", "α_o", "α_s"]
 VALUES = {name: 0.3 + 0.1 * place for place, name in enumerate([*EXPERIENCED, "S_0"])}
 VALUES |= {f"{letter}_{axis}": 0.2 + 0.07 * k for k, letter in enumerate("nu") for axis in "iosp"}

@@ -46,8 +46,8 @@ def test_a_unit_of_time_that_may_be_another_is_asked_for(tmp_path: Path) -> None
         read(tmp_path, np.arange(len(EVEN)) * 1.0, name="time")
     assert "s (1 Hz), ms (1000 Hz)" in refused.value.issues[0].allowed
     assert "--time-unit s" in refused.value.issues[0].remedy
-    table, _ = read(tmp_path, np.arange(len(EVEN)) * 1e-6, time_unit="h")
-    assert table["time_s"][1] == pytest.approx(3.6e-3)
+    table, _ = read(tmp_path, EVEN / 3600, time_unit="h")
+    assert table["time_s"][1] == pytest.approx(0.01)
 
 
 def test_packets_are_taken_as_even(tmp_path: Path) -> None:

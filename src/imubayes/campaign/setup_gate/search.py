@@ -149,11 +149,20 @@ class Search:
         """
         groups = [*alike_in_support(found)]
         for group in groups:
-            agreeing = [each for each in group if self.corrected(each).agrees]
+            agreeing = [each for each in group if self._agrees_without(each)]
             if agreeing:
                 return agreeing
         poorer = ([each for each in group if each.misfit < ORDINARY_MISFIT] for group in groups)
         return next(filter(None, poorer), [])
+
+    def _agrees_without(self, found: Explanation) -> bool:
+        """Return whether the campaign agrees with a mistake corrected.
+
+        One that changes no view, a run of another unit, has no correction but errors of that run alone: its misfit.
+        """
+        corrected = self.corrected(found)
+        same = all(one is other for one, other in zip(corrected.views, self.views, strict=True))
+        return found.misfit < ORDINARY_MISFIT if same else corrected.agrees
 
     def corrected(self, found: Explanation) -> "Search":
         """Return the campaign with a mistake corrected, judged again."""
