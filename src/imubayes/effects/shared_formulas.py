@@ -361,8 +361,8 @@ class ThermalHysteresisScale(TemperaturePlay):
 class ScaleAsymmetry(Sensor, SignalEffect):
     """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x.
 
-    x is the input along the true axis. The nominal axis of a channel at right angles to the input would have x = 0, where
-    |x| has no derivative.
+    x is the input along the true axis. Along a nominal axis at right angles to the input x would be 0, where |x| has no
+    derivative.
     """
 
     order = Order.INPUT
