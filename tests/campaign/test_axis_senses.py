@@ -71,3 +71,11 @@ def test_clipped_samples_divide_a_log_and_the_rest_is_used(hand: dict[str, np.nd
     windows, length = int(note.split()[2]), float(note.split("windows of ")[1].split()[0])
     assert windows * length > 40.0
     assert any("gx: clipped; 350 samples left out" in each for each in reduced.notes)
+
+
+def test_short_pieces_of_a_log_are_used_together(hand: dict[str, np.ndarray]) -> None:
+    """Half a second of each 4.5 s is missing: no piece of the minute has 5 s, and all of them together have."""
+    there = hand["time_s"] % 4.5 > 0.5
+    reduced = reduce_motion({name: values[there] for name, values in hand.items()}, CHANNELS, GRAVITY, "log")
+    assert len(reduced.numbers["time_s"]) > 10
+    assert not [each for each in reduced.findings if each.name == "sign_reversed"]

@@ -1,4 +1,4 @@
-"""Numerical helpers that need NumPy alone: means of groups, cross products, quadrature, rounding, inverses.
+"""Numerical helpers that need NumPy alone: stretches, means of groups, cross products, quadrature, rounding, inverses.
 
 Arrays of compiled functions are in `imubayes.foundations.arrays`, tail probabilities in
 `imubayes.foundations.tail_probabilities`.
@@ -17,6 +17,12 @@ _CROSS = np.array(
 def cross_matrices(vectors: np.ndarray) -> np.ndarray:
     """Return the matrices C of vectors v for which a @ C is v × a, shape (..., 3, 3)."""
     return np.tensordot(vectors, _CROSS, axes=1)
+
+
+def true_stretches(mask: np.ndarray) -> np.ndarray:
+    """Return the first place of each stretch in which a mask (n,) holds, and the first behind it, (stretches, 2)."""
+    change = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]).astype(np.int8))
+    return np.flatnonzero(change).reshape(-1, 2)
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:

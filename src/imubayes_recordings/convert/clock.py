@@ -15,6 +15,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction.log_survey import MOST_HZ, USUAL_HZ
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import true_stretches
 from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.column_choice import ChosenTable
 from imubayes_recordings.convert.column_names import CLOCK, COUNTER, DATE, SIX, TIME, TIME_UNITS
@@ -121,9 +122,8 @@ def _without(clock: Clock, rows: np.ndarray, note: str) -> Clock:
 
 def _frozen(again: np.ndarray) -> np.ndarray:
     """Return the rows, (N,), of long stretches that read the same, if others hardly ever read the same again."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
     frozen = np.zeros(len(again), dtype=bool)
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for start, stop in true_stretches(again).tolist():
         if stop - start >= _FROZEN:
             frozen[start - 1 : stop] = True  # with the first of them
     return frozen if np.sum(again & ~frozen) < _SELDOM * len(again) and not frozen.all() else np.zeros_like(frozen)

@@ -5,9 +5,9 @@ information on a coefficient that would come from the data follows from the rows
 equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, if
 these runs show anything of them, or the others depend on them: to leave out a scale factor that one attitude does not
 determine would make the bias look too well known.
-Further effects are if the runs determine every coefficient, beside all others, and distinguish it from bias, scale
-factor and misalignment: of six faces K0 and K2 have hardly more than a sum.  Those that a procedure of the runs is made
-for are if the runs determine any coefficient: without them the first fit would fail.
+Further effects are part of it if the runs determine every coefficient, beside all others, and distinguish it from bias,
+scale factor and misalignment: of six faces K0 and K2 have hardly more than a sum.  Those that a procedure of the runs
+is made for are part of it if the runs determine any coefficient: without them the first fit would fail.
 """
 
 from collections.abc import Sequence

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import true_stretches
 from imubayes_recordings.convert.column_names import GYROS, SAMPLES, TABLE_RATE, TEMPERATURE, TIME
 
 TURN_TABLE = "turns"
@@ -63,7 +64,7 @@ def find_stated_turns(
     """
     time, interval = columns[TIME], float(np.median(np.diff(columns[TIME])))
     moving, rest = _moving(rate, max(1, round(_BLOCK / interval)))
-    edges = _stretches(moving)
+    edges = true_stretches(moving)
     turns: list[tuple[int, int, int, int]] = []
     notes, seen = [], []
     for first, last in edges:
@@ -114,7 +115,7 @@ def counts_of_turns(
     interval = float(np.median(np.diff(columns[TIME])))
     rough = float(np.quantile(np.abs(counts - np.median(counts, axis=0)), 0.999)) / _BY_HAND or 1.0
     moving, rest = _moving(counts / rough, max(1, round(_BLOCK / interval)))
-    edges = _stretches(_inside(moving))
+    edges = true_stretches(_inside(moving))
     turned = np.array([np.sum(counts[first:last] - rest * rough, axis=0) * interval for first, last in edges])
     turned = np.abs(turned).reshape(-1, len(names))
     alone = turned[np.sum(turned > _OFF_AXIS * turned.max(axis=1, keepdims=True), axis=1) == 1]
@@ -128,11 +129,6 @@ def counts_of_turns(
         own = whole & (axis == place)
         per_turn[place] = np.median(alone[own].max(axis=1) / np.round(multiple[own]))
     return np.where(np.isnan(per_turn), np.nanmean(per_turn), per_turn) / angle, rest * rough
-
-
-def _stretches(moving: np.ndarray) -> np.ndarray:
-    """Return the first sample of each motion and the first behind it, (motions, 2)."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int))).reshape(-1, 2)
 
 
 def _inside(moving: np.ndarray) -> np.ndarray:
@@ -164,8 +160,8 @@ def _moving(rate: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
         noise = 1.4826 * float(np.median(away[~moves])) if (~moves).any() else 0.0
         moves = away > max(_STILL, 6 * noise)
         rest = np.median(means[~moves], axis=0) if (~moves).any() else rest
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(int)))
-    for stop, start in zip(edges[1:-1:2], edges[2::2], strict=True):
+    motions = true_stretches(moves)
+    for stop, start in zip(motions[:-1, 1], motions[1:, 0], strict=True):
         if (start - stop) * _BLOCK < _REST:
             moves[stop:start] = True
     wide = moves | np.roll(moves, 1) | np.roll(moves, -1)

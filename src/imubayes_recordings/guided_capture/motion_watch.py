@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imubayes.campaign.reduction.motion_windows import STEP_ANGLE, about_one_axis
+from imubayes.foundations.numerics import true_stretches
 from imubayes.procedures.free_rotation import LEAST_TURNING
 
 _TURNING = np.radians(30.0)  # rad/s: below, a drill stands still
@@ -75,8 +76,9 @@ class SaturationWatch:
         """Return the channels of samples (n, C) that are saturated."""
         size = np.abs(values)
         self._largest = np.maximum(self._largest, size.max(axis=0, initial=0.0))
-        held = (size == self._largest).astype(int)
-        return [name for name, own in zip(self._names, held.T, strict=True) if _longest(own) >= _STUCK]
+        held = (size == self._largest).T
+        longest = [int(np.diff(true_stretches(own)).max(initial=0)) for own in held]
+        return [name for name, own in zip(self._names, longest, strict=True) if own >= _STUCK]
 
 
 class DrillWatch:
@@ -188,9 +190,3 @@ def _swept(force: np.ndarray) -> float:
 
 def _signed(up: np.ndarray) -> list[float]:
     return [float(sign * part) for part in up for sign in (1, -1)]
-
-
-def _longest(held: np.ndarray) -> int:
-    """Return the length of the longest run of ones."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held, [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))

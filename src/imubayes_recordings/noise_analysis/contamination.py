@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its parts when they are first used
 
+from imubayes.foundations.numerics import true_stretches
 from imubayes_recordings.noise_analysis.running_sum import RunningSum, from_parts
 
 _PARTS = 1024  # of a record, of at least
@@ -48,9 +49,8 @@ def without_contamination(record: RunningSum) -> tuple[RunningSum, Contamination
     share = float(bad.mean())
     if not bad.any() or share > _MOST:
         return record, None
-    edges = np.diff(np.concatenate([[0], bad.astype(int)]))
     cleaned = from_parts(_emptied_parts(record, bad, size), record.interval, record.resolution)
-    return cleaned, Contamination(int((edges == 1).sum()), share, float(np.argmax(ratio)) * size * record.interval)
+    return cleaned, Contamination(len(true_stretches(bad)), share, float(np.argmax(ratio)) * size * record.interval)
 
 
 def _levels(record: RunningSum, size: int) -> Iterator[tuple[float, float]]:

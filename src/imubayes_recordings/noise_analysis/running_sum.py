@@ -21,6 +21,7 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.campaign.stream_checks import sampling_interval
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import true_stretches
 
 CHUNK = 1 << 17
 _LOST = 1.5  # a time step of more sampling intervals than this has lost samples
@@ -224,9 +225,7 @@ class _Writer:
             self._resolution = min(self._resolution, _resolution(values[~empty]))
         if not self.any and not empty.all():
             self._shift = float(np.median(values[~empty]))
-        if empty.any():
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]]).astype(np.int8)))
-            self._holes += [(first + int(a), first + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        self._holes += [(first + a, first + b) for a, b in true_stretches(empty).tolist()]
         # The total goes in first, so that every partial sum is rounded once.
         sums = np.where(empty, 0.0, values - (self._shift if self.any else 0.0))
         sums[:1] += self._total

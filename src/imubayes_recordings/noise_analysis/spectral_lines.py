@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its parts when they are first used
 
+from imubayes.foundations.numerics import true_stretches
 from imubayes_recordings.noise_analysis.running_sum import CHUNK, RunningSum, from_parts
 
 _ALPHA = 1e-3  # chance of a false line in a record
@@ -186,8 +187,7 @@ def _regions(ratio: np.ndarray, averages: float, factor: int) -> list[tuple[int,
             marked[here], ratio[here] = True, 1.0
     if not marked.any() or marked.mean() > _MOST:
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(np.int8), [0]])))
-    return [_with_tails(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [_with_tails(first, stop) for first, stop in true_stretches(marked).tolist()]
 
 
 def _with_tails(first: int, stop: int) -> tuple[int, int]:

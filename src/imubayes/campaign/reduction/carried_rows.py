@@ -18,7 +18,7 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.axis_senses import axis_changes, best_change, finding_of
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, levelling, wrong_acceleration_unit
-from imubayes.campaign.reduction.log_reduction import Limits
+from imubayes.campaign.reduction.log_reduction import Limits, clipped_samples
 from imubayes.campaign.reduction.motion_windows import (
     Division,
     about_one_axis,
@@ -144,21 +144,22 @@ def _divided(
     """Return the log, divided into stretches without gaps and clipped samples, and notes on what is left out."""
     recording = static.record(numbers, channels, None, file)
     _, rate = static.body_vectors(recording.readings, channels, file)
-    clipped = {c.name: np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)}
-    unusable = np.any(list(clipped.values()), axis=0)
+    clipped = clipped_samples(recording.readings, channels, limits)
+    unusable = clipped.any(axis=1)
     whole = contiguous(recording.time, recording.interval, 1, unusable)
-    longest = max((float(recording.time[b] - recording.time[a]) for a, b in whole), default=0.0)
-    refuse_short(longest, file)
+    if not whole:
+        refuse_short(0.0, file)
     division = divide(rate, recording.interval, whole)
     parts = contiguous(recording.time, recording.interval, division.samples, unusable)
     series, left = stretches(parts, division)
     first = np.array([start + place * division.samples for start, count in series for place in range(count)])
     follows = np.array([place > 0 for _, count in series for place in range(count)])
-    log = MotionLog(recording.time, recording.readings, recording.force, rate, division, first, follows)
     seconds = division.samples * recording.interval
+    refuse_short(len(first) * seconds, file)
+    log = MotionLog(recording.time, recording.readings, recording.force, rate, division, first, follows)
     notes = (f"{left} stretches of {seconds:.3g} s are left out, evenly, to bound the effort of the fit",) * (left > 0)
     if unusable.any():
-        named = ", ".join(name for name, own in clipped.items() if own.any())
+        named = ", ".join(channel.name for channel, own in zip(channels, clipped.T, strict=True) if own.any())
         notes += (f"{named}: clipped; {counted(int(unusable.sum()), 'sample')} left out, which divide the log",)
     return log, notes
 

@@ -1,4 +1,4 @@
-"""EncoderWindows of a raw log in which the table moves: the angle of its encoder is known at every sample.
+"""Windows of a raw log in which the table moves: the angle of its encoder is known at every sample.
 
 A spline of the seventh degree is fitted to the readings of the encoder by least squares.  Its knots are two hundredths
 of a second or three samples apart, so that 8 Hz is followed to 1e-5 of the rate, and wider if the motion is slow.  The

@@ -14,7 +14,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.axis_senses import ALLOWED, AxisChange, axis_changes, best_change, finding_of
-from imubayes.campaign.reduction.log_reduction import Limits, clipping_note
+from imubayes.campaign.reduction.log_reduction import Limits, clipped_samples, clipping_note
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
@@ -152,7 +152,7 @@ def reduce_tumble(
     rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
     flagged = (rotated > static.MOST_ROTATION) | detection.fit.outliers
     good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
-    clipped = _clipped(recording, channels, limits or {})
+    clipped = clipped_samples(recording.readings, channels, limits or {})
     whole, untold = _tumble(recording, detection, flagged)
     tumble, lost = _without_clipped(whole, recording, detection.poses, channels, clipped, limits or {}, file)
     notes = (*_notes(recording, detection, flagged, rotated, whole), *untold, *lost)
@@ -168,13 +168,6 @@ def reduce_tumble(
                 clipping_note(channel.name, (limits or {})[channel.name], int(spoilt.sum()), len(good), "poses"),
             )
     return ReducedTumble(rows, tumble, notes, tuple(findings))
-
-
-def _clipped(recording: static.Recording, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
-    """Return which samples are at the limit of their channel, shape (N, C)."""
-    return np.stack(
-        [np.isin(recording.readings[:, i], limits.get(channel.name, ())) for i, channel in enumerate(channels)], axis=1
-    )
 
 
 def _without_clipped(

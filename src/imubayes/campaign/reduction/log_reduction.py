@@ -32,6 +32,7 @@ from imubayes.campaign.reduction.encoder_path import EncoderWindows, encoder_log
 from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
 from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
+from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import HIGHER_DERIVATIVES, recorded_columns
 from imubayes.foundations.wording import counted
 from imubayes.procedures import Reduction
@@ -51,6 +52,11 @@ def clipped_spans(batches: Iterable[RowBatch], spans: Sequence[Span], limits: Li
             inside = (place >= 0) & (rows < stops[place])
             found[name][place[inside]] = True
     return {name: clipped for name, clipped in found.items() if clipped.any()}
+
+
+def clipped_samples(readings: np.ndarray, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
+    """Return which samples are at a limit of their channel, readings (N, C) → (N, C) bool."""
+    return np.stack([np.isin(readings[:, i], limits.get(each.name, ())) for i, each in enumerate(channels)], axis=1)
 
 
 def clipping_note(channel: str, limits: Sequence[float], left_out: int, of: int, noun: str) -> str:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.foundations.numerics import true_stretches
+
 WINDOW_SECONDS = 0.8  # longer than the strokes of a hand that is not at rest
 WINDOW_ANGLE = 1.2  # rad: a rotating vector is shortened by 6 % in the mean over it
 STEP_SECONDS, STEP_ANGLE = 0.1, 0.2
@@ -105,8 +107,7 @@ def contiguous(
     """
     usable = np.ones(len(time), dtype=bool) if unusable is None else ~unusable
     joined = (np.diff(time) <= max(0.05, 3 * interval)) & usable[1:] & usable[:-1]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= least]
+    return [(first, last) for first, last in true_stretches(joined).tolist() if last - first >= least]
 
 
 def stretches(parts: list[tuple[int, int]], division: Division) -> tuple[list[tuple[int, int]], int]:

@@ -23,6 +23,7 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.reduction.log_survey import refuse_impossible_rate
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import true_stretches
 
 STEP_SECONDS = 0.1
 STEP_ANGLE = 0.15  # rad; faster motion gets shorter steps
@@ -181,13 +182,7 @@ def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
     The sliding window keeps every rest half a window away from motion.
     """
     least = round(LEAST_POSE_SECONDS / interval)
-    return [Rest(a, b) for a, b in _intervals(quiet) if b - a >= least]
-
-
-def _intervals(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return start and stop (exclusive) of the intervals in which a mask holds."""
-    change = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
-    return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True))
+    return [Rest(a, b) for a, b in true_stretches(quiet).tolist() if b - a >= least]
 
 
 def turning(rate: np.ndarray, interval: float) -> np.ndarray:
@@ -202,7 +197,7 @@ def turning(rate: np.ndarray, interval: float) -> np.ndarray:
     total = np.cumsum(np.pad(rate * interval, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     moving = np.linalg.norm(total[2 * half + 1 :] - total[: -2 * half - 1], axis=1) > MOST_ROTATION
     turns = np.zeros(len(rate), dtype=bool)
-    for start, stop in _intervals(moving):
+    for start, stop in true_stretches(moving):
         turns[start:stop] = np.linalg.norm(np.cumsum(rate[start:stop], axis=0), axis=1).max() * interval > TURN
     return turns
 

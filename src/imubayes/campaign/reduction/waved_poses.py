@@ -16,7 +16,7 @@ import numpy as np
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.carried_rows import columns_of_windows, refuse_short
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
-from imubayes.campaign.reduction.log_reduction import Limits
+from imubayes.campaign.reduction.log_reduction import Limits, clipped_samples
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
 from imubayes.campaign.reduction.motion_windows import contiguous
 from imubayes.campaign.reduction.pose_table import MOST_POSES, refuse_one_attitude, spread_over_the_sphere
@@ -127,9 +127,7 @@ def _windows(
             f"{LEAST_SAMPLES} samples or more while the force turns by {np.degrees(WINDOW_ANGLE):.2g} deg",
             "turn the unit more slowly, or record faster",
         )
-    clipped = np.any(
-        [np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)], axis=0
-    )
+    clipped = clipped_samples(recording.readings, channels, limits).any(axis=1)
     first = np.concatenate([np.arange(start, stop + 2 - samples, samples) for start, stop in parts])
     whole = np.array([not clipped[start : start + samples].any() for start in first], dtype=bool)
     if int(whole.sum()) < LEAST_TO_JUDGE:
