@@ -6,12 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from imubayes.criticism.effect_scores import CandidateKey
 from imubayes.foundations.errors import InputError
 from imubayes.results.folder_files import seal
 from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
 from imubayes_archive.unit_fits.pooled_evidence import effect_in_units, law_tables, pooled_scores, unit_gains
 from imubayes_archive.unit_fits.posterior_table import packed
-from imubayes_archive.unit_fits.unit_scores import SCORES, CandidateKey, read_unit_scores
+from imubayes_archive.unit_fits.unit_scores import SCORES, read_unit_scores
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
 ROWS, UNITS, SIZE = 40, 100, 50.0

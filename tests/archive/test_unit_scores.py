@@ -6,13 +6,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+from imubayes.criticism.effect_scores import CandidateKey, scores_of
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
 from imubayes_archive.unit_fits.pooled_evidence import PooledScores, pooled_scores
-from imubayes_archive.unit_fits.unit_scores import CandidateKey, scores_of
+from imubayes_archive.unit_fits.unit_scores import table_of
 
 ROWS, RUNS, OWN, UNITS = 60, 6, 2, 12
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS // RUNS), RUNS)
@@ -53,11 +54,11 @@ def noise(seed: int, size: float = 1.0) -> np.ndarray:
 
 
 def pooled(*problems: LinearProblem) -> PooledScores:
-    return pooled_scores(pl.concat([scores_of(each, f"U{n}", f"d{n}") for n, each in enumerate(problems)]))
+    return pooled_scores(pl.concat([table_of(scores_of(each), f"U{n}", f"d{n}") for n, each in enumerate(problems)]))
 
 
 def discovered(residuals: list[np.ndarray]):
-    scores = pl.concat([scores_of(linear(each), f"U{n}", f"d{n}") for n, each in enumerate(residuals)])
+    scores = pl.concat([table_of(scores_of(linear(each)), f"U{n}", f"d{n}") for n, each in enumerate(residuals)])
     count = len(residuals)
     units = pl.DataFrame({"model": ["m"] * count, "digest": [f"d{n}" for n in range(count)], "tables": [["t"]] * count,
                           "mountings": [["up"]] * count, "year": [2026] * count})  # fmt: skip

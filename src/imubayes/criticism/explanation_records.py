@@ -60,6 +60,8 @@ class RmsChange(Record):
     unit: str
 
 
+EXPECTED = 1.0
+"""Expected number of missing effects before the data, in equal shares of the catalogue."""
 NAMED = 0.9
 """Probability at which an explanation is a finding.  Measured on effects, nulls and noise: 62 of 62 right."""
 NAMED_ODDS = math.log(NAMED / (1 - NAMED))

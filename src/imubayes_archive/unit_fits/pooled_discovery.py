@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from imubayes.criticism.evidence.effect_variants import EXPECTED
-from imubayes.criticism.explanation_records import NAMED
+from imubayes.criticism.explanation_records import EXPECTED, NAMED
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 from imubayes_archive.unit_fits import pooled_evidence as pooled

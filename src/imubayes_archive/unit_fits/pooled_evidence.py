@@ -20,9 +20,8 @@ import numpy as np
 import polars as pl
 from scipy import special
 
-from imubayes.criticism.evidence.effect_variants import SEEN, SHOWN, EffectVariant, gain_of_coefficients
+from imubayes.criticism.effect_scores import CandidateKey, CoefficientScores, ScoredEffect, shown_widths
 from imubayes_archive.unit_fits.posterior_table import unpacked
-from imubayes_archive.unit_fits.unit_scores import CandidateKey
 
 _RANK = 1e-8
 """Information, in units of what each coefficient had at first, below which it is rounding."""
@@ -51,12 +50,12 @@ class PooledScores:
     score: np.ndarray
     information: np.ndarray
     at_first: np.ndarray
-    candidates: Mapping[CandidateKey, EffectVariant]
+    candidates: Mapping[CandidateKey, ScoredEffect]
 
     def places_of(self, key: CandidateKey) -> np.ndarray:
         """Return the places of all coefficients that the effect of a candidate has there, of every shape and part."""
         own = self.candidates[key]
-        found = [each for each in self.candidates.values() if each.effect == own.effect]
+        found = [each for each in self.candidates.values() if each.key.effect == own.key.effect]
         return np.unique([k for each in found if set(each.owners) <= set(own.owners) for k in each.places])
 
     def chosen(self, members: np.ndarray) -> "PooledScores":
@@ -145,7 +144,7 @@ def pooled_scores(scores: pl.DataFrame) -> PooledScores:
     )
 
 
-def _candidates(rows: pl.DataFrame, place: Mapping[str, int]) -> dict[CandidateKey, EffectVariant]:
+def _candidates(rows: pl.DataFrame, place: Mapping[str, int]) -> dict[CandidateKey, ScoredEffect]:
     found: dict[CandidateKey, tuple[set[str], set[int], float, Sequence[float]]] = {}
     columns = ("effect", "shape", "scope", "part", "owners", "coefficients", "log_odds", "widths")
     for effect, shape, scope, part, owners, names, log_odds, widths in rows.select(columns).iter_rows():
@@ -154,7 +153,7 @@ def _candidates(rows: pl.DataFrame, place: Mapping[str, int]) -> dict[CandidateK
         owned.update(owners)
         places.update(place[name] for name in names)
     return {
-        key: EffectVariant(key.effect, 0, tuple(sorted(owners)), tuple(sorted(places)), log_odds, tuple(widths))
+        key: ScoredEffect(key, tuple(sorted(owners)), tuple(sorted(places)), log_odds, tuple(widths))
         for key, (owners, places, log_odds, widths) in found.items()
     }
 
@@ -174,31 +173,27 @@ class UnitGains:
     ----------
     widths : shape (Q,), in largest typical sizes.
     gain : shape (S, n), log evidence of sizes about zero.
-    score, information : shapes (S, n, K) and (S, n, K, K), of their mean.
-    sign : shape (K,), the only sign allowed, 0 for either.
+    of_mean : S scores of their mean.
     """
 
     widths: np.ndarray
     gain: np.ndarray
-    score: np.ndarray
-    information: np.ndarray
-    sign: np.ndarray
+    of_mean: tuple[CoefficientScores, ...]
 
     @property
     def told(self) -> np.ndarray:
         """Which units have any information, (n,) bool."""
-        return np.einsum("nkk->n", self.information[0]) > 0
+        return np.einsum("nkk->n", self.of_mean[0].information) > 0
 
 
-def unit_gains(scores: PooledScores, candidate: EffectVariant) -> UnitGains:
+def unit_gains(scores: PooledScores, candidate: ScoredEffect) -> UnitGains:
     """Return what each unit says of a candidate."""
     places, widths = np.array(candidate.places), np.array(candidate.widths)
-    u, v = scores.score[:, places], scores.information[:, places[:, None], places]
-    sign, spreads = scores.signs[places], np.concatenate([[0.0], widths])
-    gains = [gain_of_coefficients(v, u, np.full(u.shape, width), sign) for width in widths]
-    shrink = np.linalg.inv(np.eye(len(places)) + spreads[:, None, None, None] ** 2 * v)
-    score = np.einsum("snkl,nl->snk", shrink, u)
-    return UnitGains(widths, np.stack([np.zeros(len(u)), *gains]), score, shrink @ v, sign)
+    known = CoefficientScores(
+        scores.score[:, places], scores.information[:, places[:, None], places], scores.signs[places]
+    )
+    gains = [np.zeros(len(scores.score)), *(known.log_gain(width) for width in candidate.widths)]
+    return UnitGains(widths, np.stack(gains), tuple(known.of_mean(spread) for spread in (0.0, *candidate.widths)))
 
 
 def law_tables(gains: UnitGains, members: np.ndarray) -> dict[Law, np.ndarray]:
@@ -223,13 +218,13 @@ def law_tables(gains: UnitGains, members: np.ndarray) -> dict[Law, np.ndarray]:
     number = np.maximum(inside @ gains.told, 1.0)
     possible = shares * number[:, None] >= 1
     few = np.where(possible, -np.log(np.maximum(possible.sum(axis=1, keepdims=True), 1)), -np.inf)
-    size = np.sqrt(np.linalg.eigvalsh(np.tensordot(inside, gains.information[0], 1))[:, -1].clip(0.0))
+    reach = gains.of_mean[0].summed(inside).reach
     # What one unit shows grows to that of n: a mean by √n, the variance of sizes as well, and one unit is enough alone.
-    seen = [_log_seen(gains.widths, size / number**power) for power in (0.0, 0.25, 0.5)]
+    shown = [_log_shown(gains.widths, reach / number**power) for power in (0.0, 0.25, 0.5)]
     return {
-        "common": about[:, 0] + seen[0],
-        "own": np.concatenate(own, axis=2) + seen[1][:, :, None],
-        "some": np.einsum("gn,qnp->gqp", inside, mixed) + few[:, None, :] + seen[2][:, :, None],
+        "common": about[:, 0] + shown[0],
+        "own": np.concatenate(own, axis=2) + shown[1][:, :, None],
+        "some": np.einsum("gn,qnp->gqp", inside, mixed) + few[:, None, :] + shown[2][:, :, None],
     }
 
 
@@ -243,18 +238,18 @@ def _gains_of_means(gains: UnitGains, inside: np.ndarray) -> np.ndarray:
 
     Of one sign only the mean of equal sizes counts: sizes of their own are about zero, half of their normal law.
     """
-    found, signed = np.full((len(inside), len(gains.gain), len(gains.widths)), -np.inf), bool(np.any(gains.sign))
-    for spread in range(1 if signed else len(gains.gain)):
-        u, v = inside @ gains.score[spread], np.tensordot(inside, gains.information[spread], 1)
+    found = np.full((len(inside), len(gains.gain), len(gains.widths)), -np.inf)
+    for spread, known in enumerate(gains.of_mean[: 1 if np.any(gains.of_mean[0].sign) else None]):
+        together = known.summed(inside)
         for q, width in enumerate(gains.widths):
-            found[:, spread, q] = gain_of_coefficients(v, u, np.full(u.shape, width), gains.sign)
+            found[:, spread, q] = together.log_gain(width)
     return found
 
 
-def _log_seen(widths: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _log_shown(widths: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return the log prior of widths that units show, (G, Q); −∞ of the others: no hypotheses, as in one diagnosis."""
-    seen = (widths * size[:, None] >= SEEN) & (size[:, None] >= SHOWN)
-    return np.where(seen, -np.log(np.maximum(seen.sum(axis=1, keepdims=True), 1)), -np.inf)
+    shown = shown_widths(widths, reach)
+    return np.where(shown, -np.log(np.maximum(shown.sum(axis=1, keepdims=True), 1)), -np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,7 +347,8 @@ def effect_in_units(scores: PooledScores, key: CandidateKey, law: Law) -> Effect
     table = law_tables(gains, np.ones((1, len(scores.units)), dtype=bool))[law][0]
     best = np.unravel_index(int(np.argmax(table)), table.shape)
     spread = 0 if law == "common" else 1 + int(best[0])
-    u, v, gain = gains.score[spread], gains.information[spread], gains.gain[spread]
+    known, gain = gains.of_mean[spread], gains.gain[spread]
+    u, v = known.score, known.information
     share = np.ones(len(u))
     if law == "some":
         weight, shares = np.exp(table - special.logsumexp(table)), shares_of(len(u))

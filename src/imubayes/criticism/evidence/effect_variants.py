@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem, typical_sizes
+from imubayes.criticism.explanation_records import EXPECTED
 from imubayes.foundations.tail_probabilities import normal_log_survival
 
-EXPECTED = 1.0
-"""Expected number of missing effects, in equal shares of the catalogue."""
 ONE_PARAMETER, ONE_OWNER = 0.5, 0.3
 """Shares of the prior of an effect for one of its parameters, and for one channel, mounting or table alone."""
 _REACH, WIDTH_RATIO = 10.0, 4.0
