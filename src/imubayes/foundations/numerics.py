@@ -13,6 +13,9 @@ _CROSS = np.array(
     [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
 )
 
+# Order of differences that a slow change hardly adds to, and their variance of white noise of variance 1.
+_ROUGH, _ROUGH_NOISE = 4, 70.0
+
 
 def cross_matrices(vectors: np.ndarray) -> np.ndarray:
     """Return the matrices C of vectors v for which a @ C is v × a, shape (..., 3, 3)."""
@@ -36,6 +39,16 @@ def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     good = np.isfinite(values)
     total = np.bincount(group, np.where(good, values, 0.0))
     return (total / np.maximum(np.bincount(group, good), 1))[group]
+
+
+def scatter_of_samples(readings: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of single samples about what changes slowly, (n, S) → (n,); NaN of too few.
+
+    It is that of their fourth differences.
+    """
+    if readings.shape[1] <= _ROUGH + 1:
+        return np.full(len(readings), np.nan)
+    return np.sqrt(np.mean(np.diff(readings, _ROUGH, axis=1) ** 2, axis=1) / _ROUGH_NOISE)
 
 
 def leading_decade(value: float, digits: int = 1) -> int:

@@ -1,4 +1,4 @@
-"""Stimulus of a unit in motion that its own gyros follow: windows between poses, common to all such procedures.
+"""A unit in motion that its own gyros follow: its stimulus, windows between poses, and which motion they can follow.
 
 The nominal motion is that of the nominal gyros: it shows which effects a run can show.  The model replaces it by the
 motion that its own coefficients of the gyros give (`imubayes.model.carried_motion`).
@@ -11,6 +11,24 @@ import numpy as np
 from imubayes.foundations.campaign_data import Campaign, Run, Tumble
 from imubayes.foundations.errors import input_error
 from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest, rotation_matrices
+
+LEAST_SECONDS = 5.0
+"""Least seconds of motion in a log."""
+STEP_ANGLE = 0.2
+"""Largest rotation, rad, from one instant of known attitude to the next."""
+ONE_AXIS = 0.95
+"""Share of the mean square rate along one axis of the body from which a unit turns about it."""
+
+
+def about_one_axis(rate: np.ndarray) -> bool:
+    """Return whether a unit turns about one axis of its body, by its rates (N, 3), and keeps turning."""
+    squares = np.linalg.eigvalsh(rate.T @ rate / len(rate))
+    return bool(squares[-1] > ONE_AXIS * squares.sum())
+
+
+def fastest_rate(interval: float) -> float:
+    """Return the largest rate, rad/s, that samples at an interval, s, can follow."""
+    return STEP_ANGLE / interval
 
 
 def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import refuse_existing, refuse_occupied
 from imubayes.foundations.records import several
+from imubayes.procedures.carried import LEAST_SECONDS
 from imubayes_recordings.guided_capture import UNTIL, Guidance, GuidedCapture, Motion, Wanted
 
 STANDARD_INPUT = "-"

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imubayes.campaign.reduction.carried_rows import LEAST_SECONDS
-from imubayes.campaign.reduction.motion_windows import about_one_axis
+from imubayes.procedures.carried import LEAST_SECONDS, about_one_axis
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, TIME
 
 ONE_AXIS = "free_rotation"

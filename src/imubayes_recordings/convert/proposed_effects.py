@@ -17,12 +17,9 @@ import numpy as np
 
 from imubayes import observability
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.linear_information import STATION, TOLD, LinearInformation, linear_information, of_equipment
-from imubayes.model.bind import Model, bind
-from imubayes.model.carried_motion import first_point
+from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.parameters.declarations import prior_slopes
 from imubayes.procedures import PROCEDURES
 
 SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor",
@@ -111,7 +108,7 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     specs = [spec for name in names for spec in _specs(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
     known = linear_information(model)
-    kept, shares = _kept(model, known, names, purposes)
+    kept, shares = _kept(known, names, purposes)
     kept |= _delaying(kept) & set(names)
     own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
@@ -119,23 +116,16 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
         missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
-        expected=_expected(model, known, kept),
+        expected=_expected(known, kept),
     )
 
 
-def _expected(model: Model, known: LinearInformation, kept: set[str]) -> tuple[ExpectedUncertainty, ...]:
+def _expected(known: LinearInformation, kept: set[str]) -> tuple[ExpectedUncertainty, ...]:
     """Return what is expected of the free coefficients of sensors, with the effects of the model alone."""
-    left_out = {*SENSORS, *FURTHER, *NOISE} - kept
-    inside = np.flatnonzero(~np.isin(known.owner, list(left_out)))
-    covariance = inverse_of_precision(known.precision[np.ix_(inside, inside)])
-    scatter = max(1.0, known.scatter)
-    slopes = np.asarray(prior_slopes(model.problem.priors, first_point(model.assembly)))[inside]
-    told = 1 - np.diag(covariance) / known.widths[inside] ** 2
-    sd = scatter * np.sqrt(np.diag(covariance)) * np.abs(slopes)
-    parameters = [model.layout.parameters[place] for place in inside]
+    of_model = known.without({*SENSORS, *FURTHER, *NOISE} - kept)
     return tuple(
         ExpectedUncertainty(each.effect, each.label[0], float(own), each.shown_unit, each.factor, float(share))
-        for each, own, share in zip(parameters, sd, told, strict=True)
+        for each, own, share in zip(of_model.parameters, of_model.expected_sd, of_model.told, strict=True)
         if each.effect in SENSORS and each.label and each.prior.sd() > _HELD_RAD
     )
 
@@ -216,50 +206,33 @@ def _noise_by_hand(name: str, campaign: Campaign, by_hand: bool) -> EffectSpec |
 
 
 def _kept(
-    model: Model, known: LinearInformation, names: Sequence[str], purposes: Sequence[str]
+    known: LinearInformation, names: Sequence[str], purposes: Sequence[str]
 ) -> tuple[set[str], dict[str, tuple[float, float]]]:
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
-    precision, widths, owner = known.precision, known.widths, known.owner
-    held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
     kept, shares, apart = set(names), {}, [name for name in (*FURTHER, *IN_MOTION) if name not in purposes]
     while True:
         # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
-        inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))
-        variance = np.diag(inverse_of_precision(precision[np.ix_(inside, inside)]))
-        told = 1 - variance / widths[inside] ** 2
-        now = _shares(told, owner[inside], ~held[inside])
+        of_model = known.without(set(names) - kept)
+        now = _shares(of_model)
         shares |= now
         below = _below(now, apart, 0, DETERMINED) | _below(now, purposes, 1, DETERMINED) or {
             name: share
             for name, share in _below(now, SENSORS, 1, TOLD).items()
-            if _widening(precision, owner, inside, variance, name) < _INDEPENDENT
+            if of_model.widening(name, SENSORS) < _INDEPENDENT
         }
         if below:
             kept.remove(min(below, key=below.__getitem__))
             continue
-        widened = {name: _widening(precision, owner, inside, variance, name) for name in kept & set(apart)}
+        widened = {name: of_model.widening(name, SENSORS) for name in kept & set(apart)}
         if max(widened.values(), default=0.0) <= _WIDENED:
             return kept, shares
         kept.remove(max(widened, key=widened.__getitem__))
 
 
-def _widening(precision: np.ndarray, owner: np.ndarray, inside: np.ndarray, variance: np.ndarray, effect: str) -> float:
-    """Return the largest factor by which an effect widens the standard deviation of a parameter of others of `SENSORS`.
-
-    Parameters
-    ----------
-    inside, variance : places of all parameters of the model, and their variances beside one another.
-    """
-    other = owner[inside] != effect
-    left = inside[other]
-    without = np.diag(inverse_of_precision(precision[np.ix_(left, left)]))
-    ratio = (variance[other] / without)[np.isin(owner[left], SENSORS)]
-    return float(np.sqrt(np.max(ratio, initial=1.0)))
-
-
-def _shares(told: np.ndarray, owner: np.ndarray, free: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Return the least and largest share, (n,), of the coefficients of each effect."""
-    own = {name: told[(owner == name) & free] for name in dict.fromkeys(owner.tolist())}
+def _shares(known: LinearInformation) -> dict[str, tuple[float, float]]:
+    """Return the least and largest share of the coefficients of each effect, without those that are held."""
+    free = np.array([parameter.prior.sd() >= _HELD_RAD for parameter in known.parameters])
+    own = {name: known.told[(known.owner == name) & free] for name in dict.fromkeys(known.owner.tolist())}
     return {name: (float(values.min()), float(values.max())) for name, values in own.items() if len(values)}
 
 

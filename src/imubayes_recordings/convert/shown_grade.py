@@ -14,7 +14,6 @@ import numpy as np
 
 from imubayes.campaign.unit_grade import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
-from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.linear_information import TOLD, likely_scales, linear_information
 from imubayes.model.bind import Model, bind
@@ -95,8 +94,6 @@ def _graded(spec: ModelSpec, campaign: Campaign, grade: Grade) -> Model:
 
 def _distances(model: Model, h: np.ndarray) -> _Distances:
     known = linear_information(model, h)
-    covariance = inverse_of_precision(known.precision)
-    left = known.widths**2 - np.diag(covariance)
-    chosen = np.flatnonzero(np.isin(known.owner, SENSORS) & (left > TOLD * known.widths**2))
-    size = np.abs(covariance @ known.pull)[chosen] / np.sqrt(left[chosen])
-    return _Distances(tuple(model.layout.names[place] for place in chosen), known.owner[chosen], size)
+    chosen = np.flatnonzero(np.isin(known.owner, SENSORS) & (known.told > TOLD))
+    names = tuple(known.parameters[place].name for place in chosen)
+    return _Distances(names, known.owner[chosen], known.distances[chosen])

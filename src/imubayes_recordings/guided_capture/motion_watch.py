@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.campaign.reduction.motion_windows import STEP_ANGLE, about_one_axis
 from imubayes.foundations.numerics import true_stretches
+from imubayes.procedures.carried import about_one_axis, fastest_rate
 from imubayes.procedures.free_rotation import LEAST_TURNING
 
 _TURNING = np.radians(30.0)  # rad/s: below, a drill stands still
@@ -118,7 +118,7 @@ class DrillWatch:
         self.turn = None
 
     def _fault(self, turn: Turn, speed: float, ends: list[str]) -> str:
-        fastest = STEP_ANGLE / self.interval
+        fastest = fastest_rate(self.interval)
         if ends:
             return f"{', '.join(ends)} at the end of its range: turn more slowly"
         if speed > fastest:

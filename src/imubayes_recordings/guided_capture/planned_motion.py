@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 import imubayes
-from imubayes.campaign.reduction.carried_rows import scatter_of_samples
+from imubayes.foundations.numerics import scatter_of_samples
 from imubayes_recordings.convert.column_names import SIX, TIME
 from imubayes_recordings.convert.proposed_effects import ExpectedUncertainty, propose_effects
 

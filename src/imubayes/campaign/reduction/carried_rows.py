@@ -21,7 +21,6 @@ from imubayes.campaign.reduction.free_tumble import ReducedTumble, levelling, wr
 from imubayes.campaign.reduction.log_reduction import Limits, clipped_samples
 from imubayes.campaign.reduction.motion_windows import (
     Division,
-    about_one_axis,
     contiguous,
     divide,
     stretches,
@@ -31,13 +30,13 @@ from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import scatter_of_samples
 from imubayes.foundations.wording import counted
+from imubayes.procedures.carried import LEAST_SECONDS, about_one_axis
 
-LEAST_SECONDS = 5.0
 MOST_ROWS, MOST_ABOUT_ONE_AXIS = 250, 120  # effort; about one axis there are several runs
 KNOCKED = 6.0  # robust standard deviations of the force of all windows
 _ROUNDS, _SCATTER = 12, 0.05  # steps, and scatter of the force of a window over g
-_ROUGH, _ROUGH_NOISE = 4, 70.0  # order of differences, and their variance of white noise
 _LEAST_TOGETHER = 6  # windows
 _BIAS, _SCALE = np.radians(20.0), 0.2  # a priori, of the first estimate
 # Gravity and all hand accelerations leave |f| of this share of g on average.
@@ -391,16 +390,6 @@ def columns_of_windows(
         else:
             rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(inside), np.nan)
     return rows
-
-
-def scatter_of_samples(readings: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of single samples of windows in motion, (n, S) → (n,); NaN of too few samples.
-
-    It is that of their fourth differences, which the motion hardly adds to.
-    """
-    if readings.shape[1] <= _ROUGH + 1:
-        return np.full(len(readings), np.nan)
-    return np.sqrt(np.mean(np.diff(readings, _ROUGH, axis=1) ** 2, axis=1) / _ROUGH_NOISE)
 
 
 def _changed_axes(

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.numerics import true_stretches
+from imubayes.procedures.carried import STEP_ANGLE, about_one_axis
 
 WINDOW_SECONDS = 0.8  # longer than the strokes of a hand that is not at rest
 WINDOW_ANGLE = 1.2  # rad: a rotating vector is shortened by 6 % in the mean over it
-STEP_SECONDS, STEP_ANGLE = 0.1, 0.2
+STEP_SECONDS = 0.1
 # Random walk and bias instability of a consumer gyro turn by some 0.05 deg over half of the longest.
 STRETCH_SECONDS, MOST_STRETCH_SECONDS = 10.0, 60.0
 MOST_STRETCHES, MOST_ABOUT_ONE_AXIS = 12, 1  # effort: each brings three angles
-ONE_AXIS = 0.95  # of the mean square rate, along one axis of the body: the unit turns about it
 _FAST = 0.98  # quantile of the rate for which steps and windows are chosen
 _LEAST_USED = 0.8  # of the most that stretches of any length use
 _DEGREE = 4  # of polynomials that are averaged exactly
@@ -90,12 +90,6 @@ def _longest_useful(lengths: np.ndarray, longest: float, most: int) -> float:
     tried = np.unique(np.minimum(lengths, longest))
     used = np.array([min(most, int(np.sum(lengths // length))) * length for length in tried])
     return float(tried[used >= _LEAST_USED * used.max()].max())
-
-
-def about_one_axis(rate: np.ndarray) -> bool:
-    """Return whether a unit turns about one axis of its body, by its rates (N, 3), and keeps turning."""
-    squares = np.linalg.eigvalsh(rate.T @ rate / len(rate))
-    return bool(squares[-1] > ONE_AXIS * squares.sum())
 
 
 def contiguous(
