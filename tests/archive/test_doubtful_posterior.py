@@ -5,13 +5,13 @@ import pytest
 from scipy.stats import norm
 from small_units import MODEL, make_units
 
-import imubayes_archive.unit_fits.fit_unit as doubtful
+import imubayes.inference.weight_shape as doubtful
 import imubayes_archive.unit_fits.fit_unit as fit_unit
 from imubayes.inference.laplace_proposal import pareto_k
+from imubayes.inference.weight_shape import WeightShape
 from imubayes.model.model_file import read_model
 from imubayes_archive.unit_fits.batch_folder import BatchSettings, sources_of
 from imubayes_archive.unit_fits.fit_chunk import fit_chunk
-from imubayes_archive.unit_fits.fit_unit import WeightShape
 from imubayes_archive.unit_fits.run_batch import ChunkTask
 
 

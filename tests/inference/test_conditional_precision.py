@@ -8,8 +8,9 @@ import pytest
 
 from imubayes.inference.conditional_precision import conditional, conditional_precision, precision_blocks
 from imubayes.inference.laplace_marginal import knowledge
-from imubayes.inference.nested_laplace import grouped_normals, hyper_probes
+from imubayes.inference.nested_laplace import grouped_normals
 from imubayes.inference.posterior_mode import Mode, find_mode
+from imubayes.inference.scale_density import scale_probes
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import prior_widths
 from small_campaign import campaign, simulated, spec
@@ -48,7 +49,7 @@ def test_precision_and_gradient_follow_the_scatter_between_runs(far):
 
 
 def test_a_second_mode_of_a_scale_is_named():
-    probes = hyper_probes(np.array([0.5, 0.0]), np.diag([400.0, 4.0]))
+    probes = scale_probes(np.array([0.5, 0.0]), np.diag([400.0, 4.0]))
     step = probes.points - np.array([0.5, 0.0])
     heights = -0.5 * step**2 @ np.array([400.0, 4.0])
     assert probes.other_maxima(heights) == []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.tabulated_directions import from_normal, log_density, tabulate, to_normal
+from imubayes.inference.tabulated_density import from_normal, log_density, tabulate, to_normal
 
 KNOTS = np.linspace(-8, 8, 33)
 

@@ -10,7 +10,8 @@ from imubayes.campaign import load_campaign
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, weigh
 from imubayes.inference.nested_laplace import nested_laplace
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.tabulated_directions import TabulatedDirections, tabulate
+from imubayes.inference.tabulated_density import tabulate
+from imubayes.inference.tabulated_directions import TabulatedDirections
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from small_campaign import campaign, spec

@@ -1,17 +1,20 @@
 """A fit in memory: the model with its posterior mode and, if it was made in this process, its posterior."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import equinox as eqx
 import numpy as np
 
 from imubayes.inference.chains import Chains
 from imubayes.inference.identifiability import ImplausibleEstimate, UnexplainedOutput
 from imubayes.inference.nested_laplace import NestedLaplace
-from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.parameter_fit import Linearised
+from imubayes.inference.posterior_mode import Mode, log_evidence
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import DerivedQuantities, derived_quantities
+from imubayes.model.likelihood import whitened
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,25 @@ class Fit:
     def derived(self) -> DerivedQuantities:
         """Names, units and function of the derived quantities."""
         return derived_quantities(self.model.assembly)
+
+    @property
+    def chi2(self) -> float:
+        """The sum of squared residuals over the noise as fitted; NaN of a fit read from a result folder."""
+        if self.mode is None:
+            return np.nan
+        return float(np.sum(whitened(self.model.problem, self.mode.h, self.mode.about.misfit) ** 2))
+
+    @property
+    def log_evidence(self) -> float:
+        """The Laplace estimate of log p(y); NaN of a fit read from a result folder."""
+        return np.nan if self.mode is None else log_evidence(self.mode)
+
+    def without_padding(self, recorded: Model) -> "Fit":
+        """Return a fit of the readings as recorded: those of its own model have further ones, of no weight, behind."""
+        assert self.mode is not None
+        about, count = self.mode.about, len(recorded.problem.observations.value)
+        trimmed = Linearised(about.z, about.misfit[:count], about.jacobian[:count])
+        return replace(self, model=recorded, mode=eqx.tree_at(lambda mode: mode.about, self.mode, trimmed))
 
 
 def evenly_spaced(length: int, count: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
 from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.parameter_fit import Linearised
+from imubayes.inference.scale_density import Curvature
 from imubayes.inference.scale_statistics import ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
 from imubayes.model.noise_covariance import group_sum, whitener
@@ -112,14 +113,6 @@ _ROUNDING, _SHORTEST = 1e-9, 1e-3
 _TELLING = 1e-8
 # Far from the mode a density may overflow; what is not finite is never taken.
 _SILENT = np.errstate(all="ignore")
-
-
-class Curvature(eqx.Module):
-    """The Laplace marginal of h at a point: log p(y, h), its gradient (H,) and its negative Hessian (H, H)."""
-
-    value: Float[Array, ""] | float
-    gradient: Float[Array, " H"]
-    information: Float[Array, "H H"]
 
 
 @dataclass(frozen=True)

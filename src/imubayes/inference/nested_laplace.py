@@ -2,9 +2,8 @@
 
 A normal distribution about the mode is a poor proposal in fifty dimensions for three reasons, each with its remedy.
 The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, then θ given h, with the
-precision that θ has at that h (`imubayes.inference.conditional_precision`).  The marginal of a noise scale is skewed;
-that of a scatter between few runs is as wide as its prior and may have a second mode: it is evaluated along each of its
-axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  Correlated noise has a curved ridge, which the
+precision that θ has at that h (`imubayes.inference.conditional_precision`).  Its marginal is drawn from as
+tabulated (`imubayes.inference.scale_density`).  Correlated noise has a curved ridge, which the
 scale of its innovations makes straight (`imubayes.inference.conditional_precision`).  The few directions that the data
 leave to the prior are curved ridges: along them the strong directions are bent by half the second derivative,
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
@@ -33,16 +32,9 @@ from imubayes.inference.conditional_precision import (
 )
 from imubayes.inference.laplace_marginal import ScaleMarginal, inverse_within, knowledge
 from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.scale_density import ScaleDensity, scale_probes
 from imubayes.inference.scale_statistics import ScaleStatistics
-from imubayes.inference.tabulated_directions import (
-    TabulatedDensity,
-    TabulatedDirections,
-    from_normal,
-    log_density,
-    tabulate,
-    tabulated_directions,
-)
-from imubayes.inference.tabulated_directions import to_normal as to_standard
+from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, hyper_prior_square, predict_many, prior_widths
@@ -55,14 +47,6 @@ _MOST_WEAK = 60
 # Points over which the distance from the ridge is judged, the largest that is left, in standard deviations, and the
 # most steps of the chord method that bring it there.
 _RIDGE_POINTS, _ON_RIDGE, _MOST_CHORDS = 32, 0.3, 4
-# Where the marginal of h is evaluated along each axis, in units of its width at the mode,
-_PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])
-# and, for other maxima, over the whole prior, in z: a scatter at the lower end is zero for all that data can determine.
-_SURVEY = np.linspace(-3.5, 3.5, 15)
-# Another maximum counts if it is less than this below the highest, and this above what lies between.
-_HOPELESS, _APART = 15.0, 0.1
-# Log density, relative to the mode, if the marginal is not finite.
-_NOWHERE = -200.0
 # Draws whose precisions are formed and factored together: of more, what is read again is no longer in the cache.
 _AT_ONCE = 64
 # Noise scales for a multiple of which a density is compiled.
@@ -75,10 +59,8 @@ class NestedLaplace:
 
     Attributes
     ----------
-    z, h : the mode.
-    hyper_axes : shape (H, H), columns are the axes of the marginal of h, or of u if there is a ridge: unit lower
-        triangular, the identity if the scales are independent.
-    along : the marginal along each axis, from the mode.
+    z : the mode of θ.
+    of_scales : density of h, or of u if there is a ridge.
     blocks : precision of θ given h.
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
@@ -88,9 +70,7 @@ class NestedLaplace:
     """
 
     z: Float[Array, " P"]
-    h: Float[Array, " H"]
-    hyper_axes: Float[Array, "H H"]
-    along: TabulatedDensity
+    of_scales: ScaleDensity
     blocks: Conditional
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
@@ -175,7 +155,7 @@ def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None
     )
     own = marginal or hyper_marginal(problem, mode)
     given = conditional_precision(problem, mode)
-    return NestedLaplace(mode.z, mode.h, own.axes, own.along, given, weak, bend, shape, own.ridge, chords)
+    return NestedLaplace(mode.z, own.density, given, weak, bend, shape, own.ridge, chords)
 
 
 def weak_directions(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray, TabulatedDirections | None]:
@@ -255,8 +235,7 @@ class HyperMarginal:
     others : h (H,) near other maxima along the axes.
     """
 
-    axes: np.ndarray
-    along: TabulatedDensity
+    density: ScaleDensity
     ridge: InnovationScale | None
     deviation: np.ndarray
     others: tuple[np.ndarray, ...]
@@ -267,65 +246,11 @@ def hyper_marginal(problem: Problem, mode: Mode) -> HyperMarginal:
     information, ridge = np.asarray(mode.marginal.information), innovation_scale(problem, mode.h)
     if ridge is not None:
         information = ridge.straightened_information(problem, mode.h, information)
-    probes = hyper_probes(mode.h, information)
+    probes = scale_probes(mode.h, information)
     points = probes.points if ridge is None else ridge.scales(problem, probes.points)
     values = ScaleMarginal(problem, mode.about).values(points) - float(mode.marginal.value)
     others = tuple(points[place] for place in probes.other_maxima(values))
-    return HyperMarginal(probes.axes, probes.tabulated(values), ridge, probes.deviation, others)
-
-
-@dataclass(frozen=True)
-class HyperProbes:
-    """Where the marginal of h is evaluated.
-
-    Attributes
-    ----------
-    axes : shape (H, H).
-    deviation : shape (H,), width of the marginal along each axis.
-    knots : shape (H, n), along each axis, increasing.
-    near : shape (H, n), which of them the table is made of; the others reach over the prior.
-    points : shape (H n, H).
-    """
-
-    axes: np.ndarray
-    deviation: np.ndarray
-    knots: np.ndarray
-    near: np.ndarray
-    points: np.ndarray
-
-    def tabulated(self, log_density: np.ndarray) -> TabulatedDensity:
-        """Return the marginal along each axis, from its logarithm at the points (H n,) relative to that at the mode."""
-        knots, values = (each[self.near].reshape(-1, len(_PROBES)) for each in (self.knots, self._heights(log_density)))
-        return tabulate(knots, values, self.deviation)
-
-    def other_maxima(self, log_density: np.ndarray) -> list[int]:
-        """Return the places among the points of maxima beside the mode, apart from it and not hopelessly below it."""
-        found = []
-        for axis, (knots, height) in enumerate(zip(self.knots, self._heights(log_density), strict=True)):
-            mode = int(np.argmin(np.abs(knots)))
-            for place in np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1:
-                between = height[min(place, mode) : max(place, mode) + 1].min()
-                if place != mode and height[place] > max(height.max() - _HOPELESS, between + _APART):
-                    found.append(axis * len(knots) + int(place))
-        return found
-
-    def _heights(self, log_density: np.ndarray) -> np.ndarray:
-        values = np.nan_to_num(log_density, nan=_NOWHERE, neginf=_NOWHERE, posinf=_NOWHERE)
-        return np.maximum(values, _NOWHERE).reshape(self.knots.shape)
-
-
-def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
-    """Return where to evaluate the marginal of h, from its mode (H,) and its negative Hessian (H, H) there."""
-    eigenvalues, vectors = np.linalg.eigh(information)
-    # If the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
-    factor = np.linalg.cholesky((vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T)
-    deviation = np.diagonal(factor)
-    axes = factor / deviation
-    knots = np.concatenate([deviation[:, None] * _PROBES, _SURVEY - h[:, None]], axis=1)
-    order = np.argsort(knots, axis=1)
-    knots = np.take_along_axis(knots, order, axis=1)
-    points = h + knots[..., None] * axes.T[:, None, :]
-    return HyperProbes(axes, deviation, knots, order < len(_PROBES), points.reshape(-1, len(axes)))
+    return HyperMarginal(probes.tabulated(values), ridge, probes.deviation, others)
 
 
 @dataclass(frozen=True)
@@ -445,8 +370,8 @@ def grouped_normals(draws: int, size: int, scales: int) -> np.ndarray:
 def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarray):
     """Return points and log density as `to_points`, and the density of θ given h."""
     size = approximation.z.shape[0]
-    along = from_normal(approximation.along, normal[:, size:])
-    h = approximation.scales(problem, approximation.h + along @ approximation.hyper_axes.T)
+    along = approximation.of_scales.steps(normal[:, size:])
+    h = approximation.scales(problem, approximation.of_scales.scales(along))
     given = _given(approximation, problem, h)
     whitened, excess = normal[:, :size], 0.0
     if approximation.shape is not None:
@@ -476,22 +401,23 @@ def _to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarr
     if approximation.shape is not None:
         whitened, excess = approximation.shape.normalised(factor, whitened)
         density = density + excess
-    return np.concatenate([whitened, to_standard(approximation.along, along)], axis=1), density
+    return np.concatenate([whitened, approximation.of_scales.normals(along)], axis=1), density
 
 
 def hyper_density(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"]) -> np.ndarray:
     """Return the log density of the proposal of each h, (n,)."""
-    return np.sum(log_density(approximation.along, _along(approximation, problem, h)), axis=-1)
+    return approximation.of_scales.log_density(_along(approximation, problem, h))
 
 
 def _along(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"]) -> np.ndarray:
     """Return h along the axes of its marginal."""
     straight = h if approximation.ridge is None else approximation.ridge.straightened(problem, h)
-    return solve_lower(approximation.hyper_axes, (straight - approximation.h).T).T if h.size else h
+    own = approximation.of_scales
+    return solve_lower(own.axes, (straight - own.h).T).T if h.size else h
 
 
 def _log_density(approximation: NestedLaplace, factor: np.ndarray, whitened: np.ndarray, along: np.ndarray):
-    hyper = np.sum(log_density(approximation.along, along), axis=1)
+    hyper = approximation.of_scales.log_density(along)
     log_determinant = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
     constant = 0.5 * np.log(2 * np.pi) * whitened.shape[1]
     return hyper - 0.5 * np.sum(whitened**2, axis=1) + log_determinant - constant

@@ -12,8 +12,9 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, on_host
-from imubayes.inference.laplace_marginal import Curvature, climb, knowledge
+from imubayes.inference.laplace_marginal import climb, knowledge
 from imubayes.inference.parameter_fit import Linearised, fit_at, fitted_parameters, linearise
+from imubayes.inference.scale_density import Curvature
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, whitened, with_normal_noise
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,15 +18,13 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import counted
 from imubayes.inference.chains import Chains, Settings, thinned, walkers_for
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.conditional_precision import conditional_precision
 from imubayes.inference.fitted_model import Fit, Posterior
-from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh, weigh_tail
-from imubayes.inference.nested_laplace import NestedLaplace, curved_directions, nested_laplace
-from imubayes.inference.noise_scale_modes import NEGLIGIBLE, ScaleModes, modes_of_scales, posterior_points, resampled
+from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh_tail
+from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
+from imubayes.inference.noise_scale_modes import NEGLIGIBLE, ScaleModes, modes_of_scales, posterior_points
 from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.plausibility import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, heights, log_evidence, message
-from imubayes.inference.tabulated_directions import TabulatedDensity
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.derived_quantities import evaluate_derived
@@ -44,8 +41,6 @@ _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
-# Points whose density is evaluated together for weights alone.
-_WEIGHED_AT_ONCE = 64
 # An end of the 95 % interval of a normal posterior has a Monte Carlo error of 2.67 u/√n.  At 11 400 draws twice that is
 # half a unit of the first digit of u (JCGM 101, 7.9), a twentieth of a u that begins with 9; and a margin for the error
 # of the error itself.
@@ -291,63 +286,6 @@ def redrawn(fit: Fit, count: int) -> Fit:
     problem = fit.model.problem
     points = posterior_points(problem, modes_of_scales(problem, fit.mode), approximation, count)
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
-
-
-def weighed_draws(fit: Fit, count: int, seed: int) -> WeighedProposal | None:
-    """Return so many draws of the Laplace approximation of a fit with their importance weights, which judge it.
-
-    None if no draw is possible.
-    """
-    assert fit.posterior is not None
-    problem = fit.model.problem
-    density = LogDensity(problem, _WEIGHED_AT_ONCE)
-    return weigh(density, LaplaceProposal(fit.posterior.approximation, problem), 1, count, seed)
-
-
-class UnbentDraws(eqx.Module):
-    """Draws of a nested Laplace approximation before they are bent, M for each of S noise scales.
-
-    Attributes
-    ----------
-    delta : shape (S, M, P), steps of θ from the mode.
-    h : shape (S, H), noise scales.
-    log_weight : shape (S,), up to a constant, the Laplace marginal of the scales over the density they were drawn from.
-    """
-
-    delta: Float[Array, "*S M P"]
-    h: Float[Array, "*S H"]
-    log_weight: Float[Array, "*S"]
-
-
-def fit_of_draws(model: Model, mode: Mode, axes: np.ndarray, along: TabulatedDensity, drawn: UnbentDraws) -> Fit:
-    """Return the fit at a mode found elsewhere, with draws made there of its nested Laplace approximation.
-
-    It has no posterior if its estimates cannot be those of a working unit.
-
-    Parameters
-    ----------
-    axes, along : the marginal of the noise scales, as in `NestedLaplace`, without a ridge.
-    """
-    fit = judged_fit(model, mode)
-    if not fit.converged:
-        return fit
-    problem, size = model.problem, len(fit.z)
-    weak, _, bend = curved_directions(problem, mode)
-    given = conditional_precision(problem, mode)
-    approximation = NestedLaplace(fit.z, fit.h, axes, along, given, weak, bend)
-    delta = np.asarray(drawn.delta)
-    each, delta = delta.shape[-2], delta.reshape(-1, size)
-    bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
-    points = np.concatenate([fit.z + bent, np.repeat(np.asarray(drawn.h), each, axis=0)], axis=1)
-    points = resampled(points, np.repeat(np.asarray(drawn.log_weight), each))
-    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
-
-
-def _bent(delta: np.ndarray, weak: np.ndarray, bend: np.ndarray) -> np.ndarray:
-    """Return the bend of steps (S, P)."""
-    along = delta @ weak
-    pairs = (along[:, :, None] * along[:, None, :]).reshape(len(delta), -1)
-    return 0.5 * pairs @ bend.reshape(-1, delta.shape[1])
 
 
 def posterior_of_draws(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:

@@ -16,10 +16,10 @@ from imubayes.foundations.arrays import cholesky, inverse_lower, on_host
 from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.nested_laplace import weak_directions
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.scale_density import Curvature
 from imubayes.inference.tabulated_directions import TabulatedDirections
 from imubayes.model.problem import Problem, prior_widths
 

@@ -7,38 +7,30 @@ the sums over groups instead of the whole Jacobian.  θ is drawn given each of a
 each.  The normal vectors behind the draws are the same for all units: a quasi-random sequence with the mean and the
 covariance of the standard normal, so that mean and covariance of a normal posterior have no Monte Carlo error.
 
-The importance weights w of a few draws show whether the Laplace approximation of a unit is in doubt.  The weighted
-draws show directly how far means and standard deviations are off, unless the approximation lacks a part of the
-posterior: its draws rarely come there, and a sample without one of them overstates its effective size severalfold.
-That shows in the shape of the weights: the index k̂ of their tail (Vehtari, Simpson, Gelman, Yao & Gabry 2024) and
-their skewness.
+The importance weights of a few draws show whether the approximation of a unit is in doubt
+(`imubayes.inference.weight_shape`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import qmc, skew
+from scipy.stats import qmc
 
 from imubayes import Fit, Registry, Settings, diagnose
-from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.progress import silent
 from imubayes.inference.identifiability import from_data
-from imubayes.inference.laplace_marginal import Curvature
-from imubayes.inference.laplace_proposal import PARETO_K
-from imubayes.inference.nested_laplace import HyperProbes, hyper_probes
-from imubayes.inference.parameter_fit import Linearised, linearise
-from imubayes.inference.posterior_mode import Mode, log_evidence
-from imubayes.inference.run_fit import UnbentDraws, fit_of_draws, joint_fit, weighed_draws
-from imubayes.inference.tabulated_directions import TabulatedDensity, from_normal, log_density
+from imubayes.inference.outside_draws import UnbentDraws, fit_of_draws
+from imubayes.inference.run_fit import joint_fit
+from imubayes.inference.scale_density import Curvature, ScaleDensity, ScaleProbes, scale_probes
+from imubayes.inference.weight_shape import weight_shape
 from imubayes.model.bind import Model, bind
-from imubayes.model.likelihood import whitened
 from imubayes.model.model_file import ModelSpec
 from imubayes.model.problem import Problem
 from imubayes.results.posterior_groups import in_units
@@ -55,72 +47,6 @@ from imubayes_archive.unit_fits.posterior_table import (
     UnitIdentity,
     UnitPosterior,
 )
-
-# Draws weighed.  Effort: weighted moments are known to 0.03 standard deviations.
-_DRAWS = 1000
-# If the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
-# posterior, and the shape of weights that hardly differ does not matter.
-_LARGEST = 2.5
-# A proposal whose standard deviation is a fifth too small gives 5.4, one that is off by one standard deviation 4.4.
-# Of 200 units like `data/polar-tumble`, noise up to a hundred times, none is off by `_OFF`: at most 0.13 in the mean
-# of the noise and 6 % in a standard deviation; 3 of them are flagged (benchmarks/results/doubtful_posteriors.md).
-_SKEWNESS = 3.0
-# Most that means may be off, in standard deviations, and the logarithms of these: six times the error of 1000 draws.
-_OFF = 0.2
-
-
-@dataclass(frozen=True)
-class WeightShape:
-    """What importance weights say; infinite if no draw is possible.
-
-    Attributes
-    ----------
-    pareto_k, skewness, largest : tail index, skewness and largest of the weights, whose mean is 1.
-    off : largest change of a mean, in standard deviations, or of the logarithm of one of these by the weights.
-    """
-
-    pareto_k: float
-    skewness: float
-    largest: float
-    off: float
-
-    @property
-    def flagged(self) -> bool:
-        """Whether the approximation is in doubt."""
-        is_light = self.pareto_k <= PARETO_K and self.skewness <= _SKEWNESS
-        return not ((is_light or self.largest <= _LARGEST) and self.off <= _OFF)
-
-
-def weight_shape(fit: Fit, seed: int) -> WeightShape:
-    """Return what the importance weights of a Laplace approximation say.
-
-    Parameters
-    ----------
-    fit : with a posterior by the Laplace approximation.
-    seed : of the draws.
-    """
-    weighed = weighed_draws(fit, _DRAWS, seed)
-    if weighed is None:
-        return WeightShape(np.inf, np.inf, np.inf, np.inf)
-    return shape_of(weighed.points[0], weighed.weight[0], weighed.pareto_k)
-
-
-def shape_of(points: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"], pareto_k: float) -> WeightShape:
-    """Return what weights of mean 1 say of draws, their tail index known."""
-    return WeightShape(pareto_k, float(np.nan_to_num(skew(weight))), float(weight.max()), _off(points, weight))
-
-
-def _off(points: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]) -> float:
-    """Return how far weights move means and standard deviations of points."""
-    share, plain = weight / weight.sum(), points.mean(axis=0)
-    mean = share @ points
-    deviation, weighted = points.std(axis=0), np.sqrt(share @ (points - mean) ** 2)
-    varies = deviation > 0
-    moved = np.abs(mean - plain)[varies] / deviation[varies]
-    with np.errstate(divide="ignore"):  # a single draw with all the weight has no spread
-        widened = np.abs(np.log(weighted[varies] / deviation[varies]))
-    return float(max(moved.max(initial=0.0), widened.max(initial=0.0)))
-
 
 # Noise scales drawn, and draws of θ for each: powers of two for the quasi-random sequence.
 _SCALES, _EACH = 256, 8
@@ -156,21 +82,19 @@ def draws(
     problem: Problem,
     index: moments.GroupIndex,
     model: moments.GroupedModel,
-    h: Float[Array, " H"],
-    axes: Float[Array, "H H"],
-    along: TabulatedDensity,
+    density: ScaleDensity,
     normal: tuple[Float[Array, "S H"], Float[Array, "S M P"]],
 ) -> UnbentDraws:
     """Return draws of the approximation before they are bent, for standard normal vectors."""
 
     def at(vectors: tuple[Array, Array]) -> UnbentDraws:
-        step = from_normal(along, vectors[0])
-        here = h + axes @ step
+        step = density.steps(vectors[0])
+        here = density.scales(step)
         known = moments.normal_equations(problem, index, model, here)
         factor = jnp.linalg.cholesky(known.precision)
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
-        weight = moments.log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
+        weight = moments.log_marginal_of(problem, index, model, here) - density.log_density(step)
         return UnbentDraws(mean[None, :] + spread, here, weight)
 
     return jax.lax.map(at, normal)
@@ -220,30 +144,27 @@ def posteriors(structure: LaneStructure, varying: Stacked, mode: LaneMode, model
     relative = np.asarray(values) - np.asarray(at.value)[:, None]
     tables = [each.tabulated(row) for each, row in zip(chosen, relative, strict=True)]
     single = [not each.other_maxima(row) for each, row in zip(chosen, relative, strict=True)]
-    along = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
-    axes = jnp.asarray(np.stack([each.axes for each in chosen]))
+    densities = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
     vectors = tuple(jnp.broadcast_to(each, (LANES, *each.shape)) for each in normal_vectors(*structure.problem.size))
-    found = structure.run(draws, varying, mode.model, mode.h, axes, along, vectors)
+    found = structure.run(draws, varying, mode.model, densities, vectors)
     return [
         None
         if probes[lane] is None or not single[lane]
-        else _fit(model, of_lane(mode, lane), of_lane(at, lane), axes[lane], tables[lane], of_lane(found, lane))
+        else _fit(model, of_lane(mode, lane), of_lane(at, lane), tables[lane], of_lane(found, lane))
         for lane, model in enumerate(models)
     ]
 
 
-def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
+def _probes(mode: LaneMode, at: Curvature, lane: int) -> ScaleProbes | None:
     information = np.asarray(at.information)[lane]
     if not (bool(mode.converged[lane]) and np.all(np.isfinite(information))):
         return None
-    return hyper_probes(np.asarray(mode.h)[lane], information)
+    return scale_probes(np.asarray(mode.h)[lane], information)
 
 
-def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: UnbentDraws) -> Fit:
+def _fit(model: Model, found: LaneMode, at: Curvature, density: ScaleDensity, drawn: UnbentDraws) -> Fit:
     """Return the fit of one unit, without posterior if its estimates cannot be those of a working unit."""
-    z, h = np.asarray(found.model.z), np.asarray(found.h)
-    mode = Mode(z, h, float(found.decrement), linearise(model.problem, z), on_host(at), 0, True, True)
-    return fit_of_draws(model, mode, np.asarray(axes), on_host(along), drawn)
+    return fit_of_draws(model, np.asarray(found.model.z), float(found.decrement), at, density, drawn)
 
 
 QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
@@ -294,14 +215,6 @@ def sampled_where_in_doubt(
     return replace(found, outcome=outcome)
 
 
-def _without_padding(fit: Fit, recorded: Model) -> Fit:
-    """Return a fit of the readings as they were recorded: further ones, of zero weight, are at their end."""
-    assert fit.mode is not None
-    about, count = fit.mode.about, len(recorded.problem.observations.value)
-    trimmed = Linearised(about.z, about.misfit[:count], about.jacobian[:count])
-    return replace(fit, model=recorded, mode=eqx.tree_at(lambda mode: mode.about, fit.mode, trimmed))
-
-
 def posterior_of(
     fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
 ) -> UnitPosterior:
@@ -319,11 +232,11 @@ def posterior_of(
         pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
         draws=_effective_draws(fit),
         readings=readings,
-        chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
-        log_evidence=float(log_evidence(fit.mode)),
+        chi2=fit.chi2,
+        log_evidence=fit.log_evidence,
     )
     if fit.converged:
-        noise, contradicted = noise_of(_without_padding(fit, recorded or fit.model))
+        noise, contradicted = noise_of(fit if recorded is None else fit.without_padding(recorded))
         outcome = replace(
             outcome,
             noise_violations=tuple(dict.fromkeys(each.kind for each in noise.violations)),
