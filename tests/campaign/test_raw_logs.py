@@ -10,9 +10,10 @@ import pytest
 from bench_logs import RATES, Bench, Unit, head_log, rate_log
 
 from imubayes.campaign import inspect_campaign, load_campaign
+from imubayes.campaign.column_layout import ColumnLayout
 from imubayes.campaign.reduction import BenchSettings, BlockBuilder, Rows, constant_spans, reduce_log
 from imubayes.campaign.reduction.log_survey import Steady
-from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
+from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.procedures import Reduction
 
 PROFILES, COLUMNS = ("linear", "jerk", "servo", "ringing"), ("command", "measured", "encoder")

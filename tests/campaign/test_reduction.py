@@ -10,10 +10,11 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
+from imubayes.campaign.column_layout import ColumnLayout
 from imubayes.campaign.reduction import BlockBuilder, SegmentTracker, Span, constant_spans, reduce_log
 from imubayes.campaign.reduction import log_survey as blocks_module
 from imubayes.campaign.reduction.span_means import accumulate
-from imubayes.campaign.run_tables import ColumnLayout, TableSource
+from imubayes.campaign.run_tables import TableSource
 from imubayes.procedures import PROCEDURES
 
 

@@ -15,6 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from imubayes.campaign import equipment as stated
+from imubayes.campaign.column_layout import lay_out
 from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEntry, draft_of
 from imubayes.campaign.instruments import (
     build_instruments,
@@ -24,7 +25,7 @@ from imubayes.campaign.instruments import (
 from imubayes.campaign.physical_checks import check_gravity, check_rows
 from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
-from imubayes.campaign.run_tables import TableFile, TableSource, lay_out, read_header
+from imubayes.campaign.run_tables import TableFile, TableSource, read_header
 from imubayes.campaign.run_times import check_times
 from imubayes.campaign.sample_checks import check_samples
 from imubayes.campaign.saturated_rows import without_saturated_rows

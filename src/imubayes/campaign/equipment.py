@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from imubayes.campaign.column_layout import known_columns
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
-from imubayes.campaign.run_tables import known_columns
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import PRESETS, THERMOMETERS, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity

@@ -11,18 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imubayes.campaign.axis_directions import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.column_layout import TEXT_COLUMNS, ColumnLayout, lay_out
 from imubayes.campaign.equipment import BenchSettings
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_clock, check_log, check_rest, check_rows
-from imubayes.campaign.run_tables import (
-    TEXT_COLUMNS,
-    ColumnLayout,
-    TableFile,
-    TableSource,
-    lay_out,
-    read_header,
-    refuse_long,
-)
+from imubayes.campaign.run_tables import TableFile, TableSource, read_header, refuse_long
 from imubayes.campaign.sample_checks import without_counts
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Thermometer, Tumble

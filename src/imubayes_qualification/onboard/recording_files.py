@@ -11,8 +11,9 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from imubayes import load_campaign
-from imubayes.campaign import run_tables
 from imubayes.campaign.campaign_reader import raw_log
+from imubayes.campaign.column_layout import layout_of_outputs
+from imubayes.campaign.run_tables import RowBatch, TableSource, is_csv, read_header
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
@@ -34,7 +35,7 @@ class UnitRecording:
     stated : temperature → value for all rows, if no column gives it, °C.
     """
 
-    source: run_tables.TableSource
+    source: TableSource
     stated: dict[str, float]
 
     @property
@@ -100,27 +101,8 @@ def open_recording(
         return _of_campaign(load_campaign(path), path, channels, run, dict(stated or {}))
     if not path.is_file():
         raise input_error("there is no such file", str(path), "a table, or a campaign folder", "correct the path")
-    return UnitRecording(
-        run_tables.TableSource(path, _layout(path, [channel.name for channel in channels])), dict(stated or {})
-    )
-
-
-def _layout(path: Path, names: Sequence[str]) -> run_tables.ColumnLayout:
-    """Return the columns of a table by role; those without a meaning are kept as text."""
-    header = run_tables.read_header(path)
-    if repeated := sorted({name for name in header if header.count(name) > 1 or not name}):
-        raise input_error(
-            f"column '{repeated[0]}' is repeated" if repeated[0] else "a column has no name",
-            f"{path}, header", "one name per column, each used once", "rename or remove the column",
-        )  # fmt: skip
-    known = {*run_tables.known_columns(), *names, *(f"{name}_sd" for name in names)} - set(run_tables.TEXT_COLUMNS)
-    return run_tables.ColumnLayout(
-        header,
-        numbers=tuple(name for name in header if name in known),
-        texts=tuple(name for name in header if name not in known),
-        channels=tuple(name for name in names if name in header),
-        deviations=tuple(name for name in names if f"{name}_sd" in header),
-    )
+    layout = layout_of_outputs(read_header(path), [channel.name for channel in channels], str(path))
+    return UnitRecording(TableSource(path, layout), dict(stated or {}))
 
 
 def _of_campaign(
@@ -184,7 +166,7 @@ def correct_recording(
         raise InputError(not_given(name, recording.where) for name in missing)
     tally = RowTally()
     with replacing(out) as scratch:
-        writer = _TableWriter(scratch, run_tables.is_csv(out))
+        writer = _TableWriter(scratch, is_csv(out))
         try:
             for batch in recording.source:
                 if batch.rows:
@@ -218,7 +200,7 @@ class _TableWriter:
         self._writer: pacsv.CSVWriter | pq.ParquetWriter | None = None
         self._sink: BinaryIO | None = None
 
-    def write(self, batch: run_tables.RowBatch, columns: Mapping[str, np.ndarray]) -> None:
+    def write(self, batch: RowBatch, columns: Mapping[str, np.ndarray]) -> None:
         """Write the columns of a batch, and those that were made of it; NaN is an empty cell."""
         data = {
             **{name: pa.array(values, from_pandas=True) for name, values in batch.numbers.items()},

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.campaign.column_layout import ColumnLayout
 from imubayes.campaign.equipment import BenchSettings
 from imubayes.campaign.reduction.coarse_thermometer import CoarseTemperature, coarse_temperatures
 from imubayes.campaign.reduction.constant_spans import (
@@ -31,7 +32,7 @@ from imubayes.campaign.reduction.constant_spans import (
 from imubayes.campaign.reduction.encoder_path import EncoderWindows, encoder_log, moving_windows, reading_noise
 from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
-from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
+from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import HIGHER_DERIVATIVES, recorded_columns
 from imubayes.foundations.wording import counted
