@@ -15,14 +15,8 @@ from tumble_recordings import Recording
 from imubayes.campaign import check_campaign, load_campaign
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.magnitude_calibration import fit_magnitude
-from imubayes.campaign.reduction.static_poses import (
-    Rest,
-    coning,
-    rotation_over,
-    step_edges,
-    step_means,
-    trim_rests,
-)
+from imubayes.campaign.reduction.rests import Rest, trim_rests
+from imubayes.campaign.reduction.static_poses import coning, rotation_over, step_edges, step_means
 
 DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 

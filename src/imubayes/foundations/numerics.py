@@ -22,6 +22,12 @@ def cross_matrices(vectors: np.ndarray) -> np.ndarray:
     return np.tensordot(vectors, _CROSS, axes=1)
 
 
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the angle between vectors, shape (…, 3) → (…), rad."""
+    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
 def true_stretches(mask: np.ndarray) -> np.ndarray:
     """Return the first place of each stretch in which a mask (n,) holds, and the first behind it, (stretches, 2)."""
     change = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]).astype(np.int8))

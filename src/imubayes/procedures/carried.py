@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imubayes.foundations.body_axes import body_vector
 from imubayes.foundations.campaign_data import Campaign, Run, Tumble
 from imubayes.foundations.errors import input_error
 from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest, rotation_matrices
@@ -97,9 +98,7 @@ def _nominal_motion(tumble: Tumble, campaign: Campaign) -> CarriedNodes:
 
 def nominal_rates(tumble: Tumble, campaign: Campaign) -> np.ndarray:
     """Return the mean rate of every step by the nominal gyros, (T, K, 3), rad/s, body axes."""
-    gyros = [(place, channel) for place, channel in enumerate(campaign.channels) if channel.kind == "gyro"]
-    signal = np.stack([(tumble.readings[..., i] - c.offset) / c.scale_si for i, c in gyros], axis=-1)
-    return signal @ np.linalg.pinv(np.array([channel.axes[0] for _, channel in gyros])).T
+    return body_vector(tumble.readings, campaign.channels, "gyro")
 
 
 def _since_start(vectors: np.ndarray) -> np.ndarray:

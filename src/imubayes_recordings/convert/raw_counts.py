@@ -13,14 +13,9 @@ from itertools import pairwise
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction.static_poses import (
-    Rest,
-    angle_between,
-    find_rests,
-    initial_rest,
-    variance_ratio,
-)
+from imubayes.campaign.reduction.rests import Rest, find_rests, initial_rest, variance_ratio
 from imubayes.foundations.errors import InputError, input_error
+from imubayes.foundations.numerics import angle_between
 from imubayes.foundations.units import to_si
 from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.reduction.static_poses import LEAST_G, MOST_G
+from imubayes.campaign.reduction.rests import reads_gravity
 from imubayes.foundations.errors import InputError, input_error
 from imubayes_recordings.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, SIX, TIME
 from imubayes_recordings.convert.motion_kind import per_radian_in_motion
@@ -131,7 +131,7 @@ def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
     gravity = known.scale * GRAVITY[known.per]
     # At rest, or in each row if a row is a pose.
     sizes = [float(np.nanmedian(np.linalg.norm(part, axis=1))) for part in (rest_means(force), force) if len(part)]
-    if sizes and not any(LEAST_G < size / gravity < MOST_G for size in sizes):
+    if sizes and not any(reads_gravity(size, gravity) for size in sizes):
         size, in_g = sizes[0], sizes[0] / gravity
         raise input_error(
             f"at rest the accelerometers read |f| = {size:.4g} {unit}, which is {in_g:.4g} g",

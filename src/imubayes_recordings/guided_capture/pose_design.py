@@ -15,7 +15,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction.magnitude_calibration import fit_magnitude, magnitude_jacobian
-from imubayes.campaign.reduction.static_poses import body_vectors, spans_space
+from imubayes.foundations.body_axes import body_vector, spans_space
 from imubayes.foundations.campaign_data import Campaign, Tumble
 
 
@@ -97,7 +97,7 @@ def design_of(campaign: Campaign, interval: float) -> PoseDesign:
     run, gravity = campaign.runs[0], campaign.site.gravity
     tumble = run.tumble
     assert tumble is not None
-    force, rate = body_vectors(run.observed, campaign.channels, "")
+    force = body_vector(run.observed, campaign.channels, "accelerometer")
     sd = run.sample_sd / [abs(channel.scale_si) for channel in campaign.channels]
     by_kind = {
         kind: np.sqrt(np.mean(sd[:, [channel.kind == kind for channel in campaign.channels]] ** 2, axis=1))
@@ -113,6 +113,7 @@ def design_of(campaign: Campaign, interval: float) -> PoseDesign:
     one, turn_sd = float(np.median(force_sd)), float(np.sqrt(2) * np.median(force_sd) / gravity)
     if "gyro" in by_kind:
         noise = float(np.median(by_kind["gyro"])) * np.sqrt(interval)  # rad/√s
+        rate = body_vector(run.observed, campaign.channels, "gyro")
         information["gyro"] = np.diag(_BEFORE["gyro"] ** -2)
         scatter = np.maximum(rate.std(axis=0) if len(rate) > 1 else 0.0, 1e-9)
         information["gyro"][9:, 9:] += np.diag(len(rate) / scatter**2)
@@ -128,7 +129,7 @@ def _turns(tumble: Tumble, campaign: Campaign, bias: np.ndarray, up: np.ndarray)
     row = {int(pose): place for place, pose in enumerate(tumble.pose)}
     for start, step, readings in zip(tumble.start, tumble.step, tumble.readings, strict=True):
         used = step > 0
-        _, rate = body_vectors(readings[used], campaign.channels, "")
+        rate = body_vector(readings[used], campaign.channels, "gyro")
         yield (rate - bias) * step[used, None], step[used], up[row[int(start)]]
 
 

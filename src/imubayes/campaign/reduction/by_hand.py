@@ -9,9 +9,9 @@ from imubayes.campaign.reduction.carried_rows import reduce_motion
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, reduce_tumble
 from imubayes.campaign.reduction.log_reduction import Limits
 from imubayes.campaign.reduction.pose_table import reduce_means
-from imubayes.campaign.reduction.static_poses import spans_space
 from imubayes.campaign.reduction.waved_poses import reduce_waved
 from imubayes.campaign.run_tables import TableSource
+from imubayes.foundations.body_axes import spans_space
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
 from imubayes.procedures import PROCEDURES, Reduction

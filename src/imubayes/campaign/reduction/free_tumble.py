@@ -1,8 +1,9 @@
 """Reduction of a free tumble: raw log of a hand-held unit → static poses, transitions between them, and axis checks.
 
-In a free tumble a unit is moved by hand through static poses, without a table.  `static_poses` finds the rests and
-condenses the motion between them, and `magnitude_calibration` checks the rests by |f| = g; from these the rows of the
-run are built.  The gyro and accelerometer axes are checked for consistency, which finds reversed or exchanged axes.
+In a free tumble a unit is moved by hand through static poses, without a table.  `rests` finds the rests,
+`static_poses` condenses the motion between them, and `magnitude_calibration` checks the rests by |f| = g; from these
+the rows of the run are built.  The gyro and accelerometer axes are checked for consistency, which finds reversed or
+exchanged axes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +17,22 @@ from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.axis_senses import ALLOWED, AxisChange, axis_changes, best_change, finding_of
 from imubayes.campaign.reduction.log_reduction import Limits, clipped_samples, clipping_note
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
+from imubayes.campaign.reduction.rests import (
+    MOST_ROTATION,
+    Pose,
+    divide_rests,
+    find_rests,
+    join_rests,
+    reads_gravity,
+    trim_rests,
+    turning,
+    variance_ratio,
+)
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import angle_between
 
 # Nominal biases and scale factors propagate gravity to within a few degrees; a reversed axis misses by tens.
 _INCONSISTENT = np.deg2rad(20.0)
@@ -32,7 +45,7 @@ _USUAL, _OTHER_RANGE = 1.1, 1.5
 
 
 def check_axes(
-    recording: static.Recording, poses: Sequence[static.Pose], channels: Sequence[Channel], file: str
+    recording: static.Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: str
 ) -> list[Finding]:
     """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations."""
     if not recording.turns:
@@ -66,7 +79,7 @@ def check_axes(
     return [Finding("axes_do_not_fit", "warning", "", what, file, ALLOWED, remedy)]
 
 
-def _common_factor(recording: static.Recording, poses: Sequence[static.Pose]) -> tuple[float, float]:
+def _common_factor(recording: static.Recording, poses: Sequence[Pose]) -> tuple[float, float]:
     """Return the factor to all rates with which they propagate gravity best, and the angle that is left, rad."""
 
     def left(factor: float) -> float:
@@ -77,7 +90,7 @@ def _common_factor(recording: static.Recording, poses: Sequence[static.Pose]) ->
     return float(found.x), float(found.fun)
 
 
-def propagation_error(recording: static.Recording, poses: Sequence[static.Pose]) -> float:
+def propagation_error(recording: static.Recording, poses: Sequence[Pose]) -> float:
     """Return the angle between propagated and observed gravity, rad, averaged over all transitions."""
     means = static.pose_means(recording.force, poses)
     angles = []
@@ -85,7 +98,7 @@ def propagation_error(recording: static.Recording, poses: Sequence[static.Pose])
         if static.broken_turn(recording, before.stop - 1, after.start):
             continue
         edges = static.step_edges(recording.time, recording.rate, before.stop - 1, after.start)
-        angles.append(static.angle_between(static.rotation_between(recording, edges)[0].T @ f, h))
+        angles.append(angle_between(static.rotation_between(recording, edges)[0].T @ f, h))
     return float(np.mean(angles)) if angles else 0.0
 
 
@@ -111,7 +124,7 @@ class ReducedTumble:
 class Detection:
     """Detected poses, the threshold as a multiple of the variance at rest, and the fit of |f| = g to them."""
 
-    poses: tuple[static.Pose, ...]
+    poses: tuple[Pose, ...]
     multiple: float
     fit: MagnitudeFit
 
@@ -150,7 +163,7 @@ def reduce_tumble(
             "record more poses, or state the length of the initial rest as initial_rest_s",
         )
     rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
-    flagged = (rotated > static.MOST_ROTATION) | detection.fit.outliers
+    flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
     good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
     clipped = clipped_samples(recording.readings, channels, limits or {})
     whole, untold = _tumble(recording, detection, flagged)
@@ -173,7 +186,7 @@ def reduce_tumble(
 def _without_clipped(
     tumble: Tumble,
     recording: static.Recording,
-    poses: Sequence[static.Pose],
+    poses: Sequence[Pose],
     channels: Sequence[Channel],
     clipped: np.ndarray,
     limits: Limits,
@@ -206,13 +219,13 @@ def _without_clipped(
 
 def detect_poses(recording: static.Recording, gravity: float) -> Detection:
     """Return the detection, over all candidate thresholds, whose poses satisfy |f| = g best."""
-    ratio = static.variance_ratio(recording.force, recording.interval, recording.initial)
-    turns = static.turning(recording.rate, recording.interval)
+    ratio = variance_ratio(recording.force, recording.interval, recording.initial)
+    turns = turning(recording.rate, recording.interval)
     candidates = []
     for multiple in MULTIPLES:
-        rests = static.divide_rests(static.find_rests(ratio < multiple, recording.interval), turns, recording.interval)
-        rests = static.trim_rests(rests, recording.rate, recording.interval)
-        poses = tuple(static.join_rests(rests, recording.force, recording.interval, turns))
+        rests = divide_rests(find_rests(ratio < multiple, recording.interval), turns, recording.interval)
+        rests = trim_rests(rests, recording.rate, recording.interval)
+        poses = tuple(join_rests(rests, recording.force, recording.interval, turns))
         scatter = static.magnitude_scatter(recording.force, poses)
         fit = fit_magnitude(static.pose_means(recording.force, poses), gravity, scatter)
         candidates.append(Detection(poses, multiple, fit))
@@ -220,7 +233,7 @@ def detect_poses(recording: static.Recording, gravity: float) -> Detection:
     return max(candidates, key=lambda detection: (detection.fit.parameters, -detection.fit.spread))
 
 
-def rotation_within(recording: static.Recording, pose: static.Pose) -> float:
+def rotation_within(recording: static.Recording, pose: Pose) -> float:
     """Return the largest rotation by the gyros in `ROTATION_SECONDS` of a pose, rad, their median rate removed."""
     worst, span = 0.0, round(ROTATION_SECONDS / recording.interval)
     for rest in pose.rests:
@@ -293,7 +306,7 @@ def levelling(force: np.ndarray) -> np.ndarray:
 
 
 def _rows(
-    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], poses: Sequence[static.Pose]
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], poses: Sequence[Pose]
 ) -> dict[str, np.ndarray]:
     present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
     complete = {name: values[present] for name, values in numbers.items()}
@@ -324,7 +337,7 @@ def _notes(
         begin = recording.time[detection.poses[pose].start]
         why = (
             f"the gyros show a rotation by {np.rad2deg(rotated[pose]):.2g} deg"
-            if rotated[pose] > static.MOST_ROTATION
+            if rotated[pose] > MOST_ROTATION
             else f"|f| − g is {fit.residual[pose]:.2g} m/s²"
         )
         notes.append(f"pose {pose} (from {begin:.4g} s) excluded as disturbed: {why}")
@@ -348,7 +361,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
 def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: str) -> list[Finding]:
     """Return a finding if |f| of static poses, shape (n, 3) in m/s², is far from g."""
     slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
-    if static.LEAST_G < slope < static.MOST_G:
+    if reads_gravity(slope, 1.0):
         return []
     return [
         Finding(
@@ -364,7 +377,7 @@ def _findings(recording: static.Recording, detection: Detection, gravity: float,
     means = static.pose_means(recording.force, detection.poses)
     found, shares = wrong_acceleration_unit(means, gravity, file), []
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
-        angle = static.angle_between(f, h)
+        angle = angle_between(f, h)
         if recording.turns and angle > 0.3 and not static.broken_turn(recording, before.stop - 1, after.start):
             shares.append(_path(recording, before, after) / angle)
     share = float(np.median(shares)) if shares else 1.0
@@ -380,7 +393,7 @@ def _findings(recording: static.Recording, detection: Detection, gravity: float,
     return found
 
 
-def _path(recording: static.Recording, before: static.Pose, after: static.Pose) -> float:
+def _path(recording: static.Recording, before: Pose, after: Pose) -> float:
     """Return the integral of |rate| between two poses, rad."""
     moving = slice(before.stop - 1, after.start + 1)
     speed = np.linalg.norm(recording.rate[moving], axis=1)

@@ -10,9 +10,10 @@ import numpy as np
 
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
-from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
+from imubayes.campaign.reduction.static_poses import body_vectors
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import angle_between
 
 LEAST_MEANS = 4
 # About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.

@@ -22,6 +22,7 @@ from imubayes.campaign.reduction.motion_windows import contiguous
 from imubayes.campaign.reduction.pose_table import MOST_POSES, refuse_one_attitude, spread_over_the_sphere
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import angle_between
 from imubayes.foundations.wording import counted
 
 LONGEST, WINDOW_ANGLE = 0.8, 0.5  # s, and rad by which the force turns within a window
@@ -149,6 +150,6 @@ def _turning(recording: static.Recording, parts: Sequence[tuple[int, int]]) -> f
     for start, stop in parts:
         count = (stop + 1 - start) // size
         mean = recording.force[start : start + count * size].reshape(count, size, 3).mean(axis=1)
-        found.append(static.angle_between(mean[1:], mean[:-1]) / (size * recording.interval))
+        found.append(angle_between(mean[1:], mean[:-1]) / (size * recording.interval))
     angles = np.concatenate(found)
     return float(np.quantile(angles, _FAST)) if len(angles) else 0.0
