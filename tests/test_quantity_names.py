@@ -25,10 +25,12 @@ def test_a_name_is_read_as_it_was_written(text, family, labels):
     assert family_of(text) == family
     assert name.first == (labels[0] if labels else "")
     assert f"{name.effect}.{name.parameter}".rstrip(".") == family
+    assert ".".join(filter(None, name.parts)) == text
+    assert (name.parts[1] == "") == (name.parameter == "")
 
 
 TAKEN_APART = re.compile(
-    r"""partition\(['"]\[['"]\)|split\(['"]\[['"]|(?:strip|suffix)\(['"]\]['"]\)|(?:startswith|endswith|removeprefix)\(f?['"][a-z_{}.]*\["""
+    r"""partition\(['"]\[['"]\)|split\(['"]\[['"]|(?:strip|suffix)\(['"]\]['"]\)|(?:startswith|endswith|removeprefix)\(f?['"][a-z_{}.]*\[|(?:family|(?:estimate|first|best|quantity)\.name)\.(?:r?partition|split)\(['"]\.['"]"""
 )
 PUT_TOGETHER = re.compile(
     r"""f["'](?:\{effect\}\.\{parameter\}|scale_factor|mounting_angle|axis_angle|input_axis|delta_k|white_noise\.sigma)\["""
@@ -54,7 +56,13 @@ def test_no_other_file_takes_a_name_apart_or_puts_one_together():
 
 
 @pytest.mark.parametrize(
-    "line", ['a = name.partition("[")[0]', 'name.startswith("scale_factor[")', "f'mounting_angle[{a},{b}]'"]
+    "line",
+    [
+        'a = name.partition("[")[0]',
+        'effect, field = estimate.name.split(".")',
+        'name.startswith("scale_factor[")',
+        "f'mounting_angle[{a},{b}]'",
+    ],
 )
 def test_the_rule_finds_what_it_forbids(line):
     assert offenders({"x.py": line}) == ["x.py:1"]

@@ -6,6 +6,7 @@ from another one stands the estimate before, and the shift in the smaller of the
 
 from imubayes.display.layout import Sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.records import Record
 from imubayes.results.change_records import estimate_changes
 from imubayes.results.summary import Summary
@@ -19,6 +20,7 @@ class EstimateLine(Record):
     Attributes
     ----------
     kind : the table that it is of.
+    parts : of its name.
     weak : whether it is that of the prior.
     before, before_sd : of the model that this one was made from; empty if that has none.
     in_sd : the shift since, in standard uncertainties; None if there is none.
@@ -26,6 +28,7 @@ class EstimateLine(Record):
 
     kind: str
     name: str
+    parts: tuple[str, str]
     unit: str
     estimate: str
     sd: str
@@ -69,7 +72,7 @@ def _lines(sheet: Sheet) -> list[EstimateLine]:
     for row in sheet.rows:
         name, unit, estimate, sd, share = (row[place].text for place in columns)
         found.append(EstimateLine(
-            kind=sheet.title, name=name, unit=unit, estimate=estimate, sd=sd, from_data=share,
-            weak=row[places["from data"]].mood == _WEAK,
+            kind=sheet.title, name=name, parts=QuantityName.of(name).parts, unit=unit, estimate=estimate, sd=sd,
+            from_data=share, weak=row[places["from data"]].mood == _WEAK,
         ))  # fmt: skip
     return found

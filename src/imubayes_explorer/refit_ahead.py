@@ -156,7 +156,7 @@ def _start(
 def told_values(estimates: Sequence[ScreenedEffect]) -> dict[str, float]:
     """Return the values of coefficients by name, and of shapes by effect and field, in their units."""
     told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
-    shapes = ((line.effect, name.rpartition(".")[2], value) for line in estimates for name, value in line.shape.items())
+    shapes = ((line.effect, field, value) for line in estimates for field, value in line.shape.items())
     return told | {f"{effect}.{field}": value for effect, field, value in shapes}
 
 

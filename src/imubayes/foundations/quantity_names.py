@@ -50,6 +50,11 @@ class QuantityName:
         return self.family.partition(".")[2]
 
     @property
+    def parts(self) -> tuple[str, str]:
+        """The effect, and the name within it, as ``gyro_bias`` and ``bias[gx]``; a derived quantity has no second."""
+        return (self.effect, str(QuantityName(self.parameter, self.labels))) if self.parameter else (str(self), "")
+
+    @property
     def first(self) -> str:
         """The first label, which is the channel if there is one; empty if there is none."""
         return self.labels[0] if self.labels else ""

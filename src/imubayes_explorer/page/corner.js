@@ -56,8 +56,8 @@ function tick(x, y, words) {
 }
 
 // A name in two lines, as far as a cell is wide; the whole of it, with its numbers, when it is pointed at.
-function heading({ name, estimate, sd, unit, from_data, weak }) {
-  const [effect, ...field] = name.split("."), lines = [shortened(effect, 19), shortened(field.join("."), 19), `${from_data.split(",")[0] || "–"} from data`];
+function heading({ name, parts, estimate, sd, unit, from_data, weak }) {
+  const lines = [...parts.map((part) => shortened(part, 19)), `${from_data.split(",")[0] || "–"} from data`];
   const words = lines.filter(Boolean).map((line, place) => made("text", { x: 0, y: 10 + 11 * place, class: line === lines[2] ? (weak ? "weak" : "share") : "name" }, line));
   words[0].append(made("title", {}, `${name} ${estimate} ± ${sd} ${unit}`));
   return words;

@@ -322,7 +322,7 @@ def _scalar(
 ) -> StandardQuantity:
     """Return a quantity that is one parameter of each channel; of the standard of its sensors if no other is named."""
     kind: SensorKind = "accelerometer" if family.startswith("accel") else "gyro"
-    sources, effects = (of_family(family, factor),), (family.partition(".")[0],)
+    sources, effects = (of_family(family, factor),), (QuantityName.of(family).effect,)
     same = family if factor == 1 else ""
     return StandardQuantity(key, symbol, name, standard or _STANDARDS[kind], kind, term, sources, effects, same)
 

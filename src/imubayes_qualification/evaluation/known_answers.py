@@ -18,7 +18,7 @@ import tomlkit
 
 from imubayes import fit, sample
 from imubayes.foundations.progress import Tell, silent
-from imubayes.foundations.quantity_names import name_of
+from imubayes.foundations.quantity_names import QuantityName, name_of
 from imubayes.foundations.records import Record
 from imubayes.results.marginal import Marginal
 from imubayes_qualification.evaluation.decision_rules import ToleranceInterval, conformance_probability
@@ -267,8 +267,8 @@ def _write_model(file: Path) -> None:
     priors: dict[str, dict[str, str]] = {"white_noise": {"sigma": "lognormal(1 noise, 1e-6)"}}
     for kind in (_GYRO, _FORCE):
         for name, width, unit in zip(_NAMES[kind.name], kind.width, (kind.per, "1", "rad", "rad"), strict=True):
-            effect, field = name.split(".")
-            priors.setdefault(effect, {})[field] = f"normal(0, {width!r} {unit})"
+            quantity = QuantityName.of(name)
+            priors.setdefault(quantity.effect, {})[quantity.parameter] = f"normal(0, {width!r} {unit})"
     effects = [{"name": effect, "prior": prior} for effect, prior in priors.items()]
     file.write_text(tomlkit.dumps({"format": 1, "name": "selftest", "effect": effects}))
 

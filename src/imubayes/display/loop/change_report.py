@@ -15,6 +15,7 @@ from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
 from imubayes.display.loop.history import elpd_text, offsets_moved_text
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.wording import counted
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
@@ -81,7 +82,7 @@ def coefficient_sheet(change: ModelChange) -> Sheet:
         )
         unit = numbers.pretty(estimate.unit)
         rows.append(cells(estimate.name, guess, width, value, sd, unit))
-        name = estimate.name.partition(".")[2] if len(change.added) == 1 else estimate.name
+        name = QuantityName.of(estimate.name).parts[1] if len(change.added) == 1 else estimate.name
         slim.append(cells(name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))
     head = ("new parameter", "predicted", "± ", "estimated", "±", "unit")
     sheet = Sheet("Predicted and estimated", head, rows, (0, 5))
@@ -314,7 +315,7 @@ def _injected(trial: Trial) -> str:
     if not trial.planted:
         return "–"
     first, count = trial.planted[0], len(trial.planted)
-    text = f"{first.name.partition('.')[2]} {numbers.significant(first.value)} {numbers.pretty(first.unit)}"
+    text = f"{QuantityName.of(first.name).parts[1]} {numbers.significant(first.value)} {numbers.pretty(first.unit)}"
     return text + (f", {count - 1} more" if count > 1 else "")
 
 

@@ -20,6 +20,7 @@ from imubayes.display.loop import diagnosis_sentences as sentences
 from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.covariates import effects_by_need
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.wording import counted
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
@@ -74,8 +75,8 @@ def coefficient_text(line: ScreenedEffect, short: bool = False) -> str:
     text = f"{value} ± {sd} {numbers.pretty(best.unit)}"
     if short:
         return text
-    shape = ", ".join(f"{key.rpartition('.')[2]} {numbers.significant(size)}" for key, size in line.shape.items())
-    text = f"{best.name.partition('.')[2] or best.name} {text}" + (f" at {shape}" if shape else "")
+    shape = ", ".join(f"{key} {numbers.significant(size)}" for key, size in line.shape.items())
+    text = f"{QuantityName.of(best.name).parts[1] or best.name} {text}" + (f" at {shape}" if shape else "")
     return text + (f", {len(known) - 1} more" if len(known) > 1 else "")
 
 
