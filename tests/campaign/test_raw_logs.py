@@ -12,7 +12,7 @@ from bench_logs import RATES, Bench, Unit, head_log, rate_log
 from imubayes.campaign import inspect_campaign, load_campaign
 from imubayes.campaign.column_layout import ColumnLayout
 from imubayes.campaign.reduction import BenchSettings, BlockBuilder, Rows, constant_spans, reduce_log
-from imubayes.campaign.reduction.log_survey import Steady
+from imubayes.campaign.reduction.steady_levels import Steady
 from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.procedures import Reduction
 
@@ -139,7 +139,7 @@ def test_positions_of_a_dividing_head(column: str, profile: str) -> None:
 
 
 SPANS = importlib.import_module("imubayes.campaign.reduction.constant_spans")
-SETTLING = importlib.import_module("imubayes.campaign.reduction.log_survey")
+SETTLING = importlib.import_module("imubayes.campaign.reduction.steady_levels")
 
 
 @pytest.mark.parametrize("hz", [0.5, 1.0])

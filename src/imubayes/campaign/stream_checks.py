@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch, TableSource
+from imubayes.campaign.sampling_rate import sampling_interval
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.units import ABSURD
@@ -227,13 +228,6 @@ class _Repeat:
         self.inside = max(self.inside, int(lengths[between].max(initial=0)))
         self.at_low = max(self.at_low, int(lengths[heads == self.low].max(initial=0)))
         self.at_high = max(self.at_high, int(lengths[heads == self.high].max(initial=0)))
-
-
-def sampling_interval(time: np.ndarray | None) -> float | None:
-    """Return the median positive step of a time column, s; None if there is none."""
-    steps = np.diff(time) if time is not None else np.zeros(0)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else None
 
 
 @dataclass

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction.log_survey import MOST_HZ, USUAL_HZ
+from imubayes.campaign.sampling_rate import MOST_HZ, USUAL_HZ
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import true_stretches
 from imubayes.foundations.wording import counted

@@ -19,7 +19,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.run_tables import RowBatch
-from imubayes.campaign.stream_checks import sampling_interval
+from imubayes.campaign.sampling_rate import sampling_interval
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import true_stretches
 

@@ -11,13 +11,8 @@ from imubayes.campaign.reduction.by_hand import reduce_by_hand
 from imubayes.campaign.reduction.clock_offset import clock_offset
 from imubayes.campaign.reduction.constant_spans import Span, UnsettledLevel, constant_spans
 from imubayes.campaign.reduction.log_reduction import Limits, Rows, SegmentTracker, clipping_note, reduce_log
-from imubayes.campaign.reduction.log_survey import (
-    BlockBuilder,
-    BlockSurvey,
-    refuse_impossible_rate,
-    turning_span,
-)
-from imubayes.campaign.stream_checks import sampling_interval
+from imubayes.campaign.reduction.log_survey import BlockBuilder, BlockSurvey, turning_span
+from imubayes.campaign.sampling_rate import refuse_impossible_rate, sampling_interval
 
 __all__ = [
     "BenchSettings",

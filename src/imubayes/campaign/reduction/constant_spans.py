@@ -6,7 +6,7 @@ are divided alike.  A level lasts until the smoothed column has moved from its m
 is therefore a sequence of levels too short to be kept.
 
 Consecutive blocks at one level of rate, of angle at rest and of current form a span.  A command precedes the motion of
-the table, so the ends of a span in which a channel has not settled are removed (`log_survey`); a span in which none
+the table, so the ends of a span in which a channel has not settled are removed (`steady_levels`); a span in which none
 settles is left out.  If the temperature is the stimulus, spans are divided into bins short enough for it to be
 constant.
 """
@@ -19,7 +19,8 @@ from itertools import pairwise
 import numpy as np
 
 from imubayes.campaign.equipment import BenchSettings
-from imubayes.campaign.reduction.log_survey import BlockSurvey, Steady, steady_part
+from imubayes.campaign.reduction.log_survey import BlockSurvey
+from imubayes.campaign.reduction.steady_levels import Steady, steady_part
 from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
 from imubayes.foundations.numerics import group_means
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.reduction.log_survey import refuse_impossible_rate
 from imubayes.campaign.reduction.rests import LEAST_POSE_SECONDS, Pose, Rest, divide_rests, initial_rest, turning
+from imubayes.campaign.sampling_rate import refuse_impossible_rate
 from imubayes.foundations.body_axes import body_vector, spans_space
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
