@@ -14,6 +14,7 @@ import pytest
 from small_files import DEGREE, GRAVITY, MODEL
 
 from imubayes.campaign import inspect_campaign, load_campaign, read_model_file
+from imubayes.campaign.column_layout import layout_of_outputs
 from imubayes.campaign.equipment import complete_axes
 from imubayes.campaign.file_schemas import RunEntry, ThermometerEntry
 from imubayes.campaign.toml_documents import key_lines, line_of
@@ -191,3 +192,11 @@ def test_a_check_loads_no_more_than_it_needs() -> None:
     campaign = Path(__file__).parents[2] / "data" / "accel-channel"
     done = subprocess.run([sys.executable, "-c", code, str(campaign)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_table_of_outputs_keeps_what_it_does_not_know_and_refuses_a_repeated_column() -> None:
+    layout = layout_of_outputs(("time_s", "gx", "note", "gx_sd"), ("gx", "gy"), "log.csv")
+    assert (layout.numbers, layout.texts) == (("time_s", "gx", "gx_sd"), ("note",))
+    assert (layout.channels, layout.deviations) == (("gx",), ("gx",))
+    with pytest.raises(InputError, match="column 'gx' is repeated"):
+        layout_of_outputs(("gx", "gx"), ("gx",), "log.csv")

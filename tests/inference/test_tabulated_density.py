@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from imubayes.inference.scale_density import scale_probes
 from imubayes.inference.tabulated_density import from_normal, log_density, tabulate, to_normal
 
 KNOTS = np.linspace(-8, 8, 33)
@@ -60,3 +61,19 @@ def test_the_density_is_the_derivative_of_the_map():
         middle = from_normal(table, np.array([normal]))
         expected = stats.norm.logpdf(normal) - np.log((high - low) / (2 * step))
         assert float(np.asarray(log_density(table, middle))[0]) == pytest.approx(expected, abs=1e-4)
+
+
+def test_scales_are_drawn_about_their_mode_with_the_covariance_of_their_marginal():
+    mode, information = np.array([0.5, -1.0]), np.array([[4.0, 3.0], [3.0, 9.0]])
+    probes = scale_probes(mode, information)
+    away = probes.points - mode
+    density = probes.tabulated(-0.5 * np.einsum("ni,ij,nj->n", away, information, away))
+    normal = np.random.default_rng(0).normal(size=(20_000, 2))
+    steps = density.steps(normal)
+    drawn = density.scales(steps)
+    np.testing.assert_allclose(drawn.mean(axis=0), mode, atol=0.02)
+    np.testing.assert_allclose(np.cov(drawn.T), np.linalg.inv(information), rtol=0.1)
+    np.testing.assert_allclose(density.normals(steps), normal, atol=1e-6)
+    exact = -0.5 * np.einsum("ni,ij,nj->n", drawn - mode, information, drawn - mode)
+    exact += 0.5 * np.log(np.linalg.det(information)) - np.log(2 * np.pi)
+    assert np.median(np.abs(density.log_density(steps) - exact)) < 0.02
