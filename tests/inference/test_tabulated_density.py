@@ -73,6 +73,7 @@ def test_scales_are_drawn_about_their_mode_with_the_covariance_of_their_marginal
     drawn = density.scales(steps)
     np.testing.assert_allclose(drawn.mean(axis=0), mode, atol=0.02)
     np.testing.assert_allclose(np.cov(drawn.T), np.linalg.inv(information), rtol=0.1)
+    assert density.scales(np.array([1.0, 0.0]))[0] == pytest.approx(mode[0] + 1.0)
     np.testing.assert_allclose(density.normals(steps), normal, atol=1e-6)
     exact = -0.5 * np.einsum("ni,ij,nj->n", drawn - mode, information, drawn - mode)
     exact += 0.5 * np.log(np.linalg.det(information)) - np.log(2 * np.pi)
