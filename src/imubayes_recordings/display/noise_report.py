@@ -280,7 +280,7 @@ def noise_report(noise: StaticNoise) -> Report:
     closing = (
         f"Intervals are {percent} profile-likelihood intervals (for a ramp, posterior intervals). Upper limits are "
         f"one-sided {percent} limits (for a ramp, the farther end of its interval). A term is determined if the record "
-        "needs it in addition to all others. In 1 to 2 % of records without a term, it is reported all the same. "
+        "needs it in addition to all others. In 1 to 2 % of records without a term, the term is reported nevertheless. "
         "As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk. Gauss–Markov noise with a correlation time longer "
         "than the record cannot be distinguished from a random walk.",

@@ -185,7 +185,7 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "the model; wobble and encoder harmonics of a table can only be added as effects. A factor contains only "
         "that part of each error that the data leave undetermined; annex A has the changes per unit of the whole "
         "error. Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
-        "limit. A limit passes only if all of these together could not carry the value across it."
+        "limit. A limit passes only if all of these together could not move the value beyond it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 
