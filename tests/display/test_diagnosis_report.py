@@ -92,8 +92,8 @@ def test_the_answer_comes_first(capsys):
             "is missing",
             "plant --result R",
         ),
-        ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62 for its group).", "add"),
-        ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42).", "add"),
+        ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62 for its", "add"),
+        ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42 for its", "add"),
         ("noise_model", 0.998, "The noise is not as modelled: heavy tails on gx. No effect explains it.", "compare R"),
         ("noise_model", 0.62, "The noise is probably not as modelled (probability 0.62): heavy tails", "compare R"),
         (

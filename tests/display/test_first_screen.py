@@ -64,7 +64,7 @@ def test_diagnose_fits_on_a_screen():
     assert lines[0].startswith("gyro_scale_asymmetry is missing")
     assert any(line.startswith(" gyro_scale_quadratic") for line in lines)
     assert sum(line.startswith("next: imubayes add gyro_scale_asymmetry") for line in lines) == 1
-    assert "All tables, with notes (120 ranked effects, 2 undetectable): imubayes diagnose R --verbose" in lines
+    assert "All tables (120 ranked effects, 2 undetectable): imubayes diagnose R --verbose" in lines
     assert "Undetectable in these runs" in " ".join(screen(diagnosis_report(long, verbose=True)))
 
 

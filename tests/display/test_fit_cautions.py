@@ -109,7 +109,7 @@ def test_suspected_noise_is_a_notice_and_no_alarm(plain):
     doubted = plain.model_copy(update={"noise_suspected": VIOLATIONS[1:]})
     assert alarm_of(doubted) == ""
     (notice,) = notices(doubted)
-    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance;")
+    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance.")
     assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
     assert "Suspected:" in summary_html(doubted)
     # If there is an alarm it says enough.

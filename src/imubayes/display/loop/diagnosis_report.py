@@ -255,7 +255,7 @@ def _omitted(found: Diagnosis) -> list[str]:
     each = [counted(len(lines), name) for name, lines in lists.items() if lines]
     each += [f"{len(found.undetectable)} undetectable"] * bool(found.undetectable)
     whole = command_line("diagnose", found.result, "--verbose")
-    return [f"All tables, with notes ({', '.join(each)}): {whole}"] if each else []
+    return [f"All tables ({', '.join(each)}): {whole}"] if each else []
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
