@@ -102,11 +102,9 @@ def compare(
     result
         Result folder of a fit.
     other
-        Result folder of a later calibration of the same unit. Shows whether the two agree, the quantities that moved,
-        and pooled estimates.
+        Result folder of a later calibration of the same unit, with which to compare the first.
     parameters
-        Quantities of a corner plot. With --every, the default is the mounting angles and scale factors that are
-        determined least.
+        Quantities of a corner plot. With --every, the default is the least determined angles and scale factors.
     runs
         Runs to draw in separate figures, or 'all'. With --every, the default is the six that fit worst.
     every

@@ -145,11 +145,15 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: S
 
 
 def _to_look_at(doubts: Sequence[UnitInDoubt]) -> Sheet:
-    """Return the units that need a person, with the reasons."""
+    """Return the units that need a person, with a line for each reason."""
     by_unit: dict[str, list[UnitInDoubt]] = {}
     for each in doubts:
         by_unit.setdefault(each.unit, []).append(each)
-    rows = [cells(unit, "; ".join(map(_reason, reasons))) for unit, reasons in list(by_unit.items())[:_SHOWN]]
+    rows = [
+        cells("" if place else unit, _reason(each))
+        for unit, reasons in list(by_unit.items())[:_SHOWN]
+        for place, each in enumerate(reasons)
+    ]
     return Sheet("Units to look at", ("unit", "reason"), rows, left=(0, 1))
 
 
