@@ -67,8 +67,8 @@ def test_the_answer_comes_first(capsys):
     assert lines[:6] == [
         "gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along the input axis. "
         "gyro_scale_quadratic would fit as well in place of gyro_scale_asymmetry: these runs cannot distinguish them.",
-        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54 and "
-        "0.46); nothing missing < 0.001.",
+        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54, 0.46); "
+        "nothing missing < 0.001.",
         "Predicted with gyro_scale_asymmetry added: Δχ² 98.4 at the noise known beforehand; residual of gx 2.80 → 1.50 "
         "deg/h rms.",
         "A run that would distinguish gyro_scale_asymmetry, gyro_scale_quadratic: rate_table on 'rate' in mounting "

@@ -11,8 +11,8 @@ def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:
     shared = slot(("gyro_scale_asymmetry", 0.537), ("gyro_scale_quadratic", 0.463))
     said = evidence_text(evidence({"effects": 0.998}, (shared,), known=0.5))
     assert said == (
-        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54 and "
-        "0.46); nothing missing < 0.001. The noise is known beforehand only to within a factor of 1.6."
+        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54, 0.46); "
+        "nothing missing < 0.001. The noise is known beforehand only to within a factor of 1.6."
     )
 
 

@@ -301,7 +301,7 @@ def test_the_probabilities_of_the_diagnosis_stand_in_the_record_and_on_the_page(
     assert record.adequacy.explanations is not None
     assert record.adequacy.explanations.of("effects").probability == 0.998
     assert record.adequacy.missing == (ASYMMETRY, QUADRATIC)
-    shares = f"({ASYMMETRY} or {QUADRATIC} on gx, shares 0.54 and 0.46)"
+    shares = f"({ASYMMETRY} or {QUADRATIC} on gx, shares 0.54, 0.46)"
     assert f"Probability: an effect missing 0.998 {shares}" in visible(page)
 
 

@@ -217,8 +217,7 @@ def mission(
     Parameters
     ----------
     result
-        Result folder of a unit with three axes of each kind. After `imubayes diagnose`, effects that no run could show
-        are included.
+        Result folder of a unit with three axes of each kind. After `imubayes diagnose`, undetectable effects are shown.
     trajectory
         CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg. Without it the
         mission is level.

@@ -102,7 +102,7 @@ def _slot(slot: EffectSlot) -> str:
     """Return the effects of a group, the channels, and the shares of the effects in the group."""
     shown = slot.candidates[:_MOST_NAMES]
     names = f"{' or '.join(each.effect for each in shown)} on {listed(slot.channels)}"
-    shares = " and ".join(probability(each.probability) for each in shown)
+    shares = ", ".join(probability(each.probability) for each in shown)
     return f"{names}, shares {shares}" if shown[1:] else names
 
 
