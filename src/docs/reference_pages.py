@@ -310,6 +310,8 @@ def _linked(file: Path, page: str) -> Iterator[str]:
             return match[0]
         found = (file.parent / place).resolve()
         known = _ADOPTED.get(str(found.relative_to(ROOT))) if found.is_relative_to(ROOT) else None
+        if known is None and found.is_relative_to(ROOT / "src" / "docs"):
+            known = str(found.relative_to(ROOT / "src" / "docs"))
         if known is not None:
             up = "../" * page.count("/")
             return f"[{text}]({up}{known}{'#' * bool(anchor)}{anchor})"

@@ -21,7 +21,7 @@ def explore(
 ) -> None:
     """Run the loop in the browser: brush residuals, see ranked causes, preview them, add one.
 
-    Everything accepted is an ordinary result folder; the page shows the command of every click. The server listens on
+    Each accepted model is an ordinary result folder. The page shows the command of every click. The server listens on
     this machine alone. Stop it with Ctrl-C; accepted results are kept.
 
     Example: imubayes explore results/first
@@ -29,8 +29,8 @@ def explore(
     Parameters
     ----------
     place
-        Result folder, the folder of a campaign with --model, or the results of a batch, whose units are shown with
-        their population; without it the example hidden-gyro.
+        Result folder, campaign folder with --model, or results folder of a batch, whose units are shown with their
+        population. Without it, the example hidden-gyro is shown.
     model
         Model file, or the name of a shipped model; fitted first.
     out
@@ -40,7 +40,7 @@ def explore(
     no_browser
         Print the address only, and open no browser.
     trust
-        Trust the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input. They are code, which runs only if trusted.
     """
     with progress() as tell:
         trusting(model or place, trust)

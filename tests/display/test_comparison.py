@@ -94,7 +94,7 @@ def test_five_figures_are_drawn_and_those_asked_for(compared: Comparison, trihed
     first = re.findall(r'<img [^>]*src="figures/([^"]*)"', few.page.read_text(encoding="utf-8"))
     assert sorted(first) == sorted(few.captions)
     more = len(compared.pictures) - 6
-    assert few.notes == (f"{more} more figures and a corner plot: --every; single runs: --runs NAME…",)
+    assert few.notes == (f"--every draws {more} more figures and a corner plot; --runs NAME… draws single runs.",)
     asked = compare_first(folder, runs=["rate-y-up-25C"], parameters=["gyro_bias.bias[gx]"])
     assert {"corner.png", "run-rate-y-up-25C.png"} <= set(asked.captions)
 

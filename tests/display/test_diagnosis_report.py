@@ -67,8 +67,8 @@ def test_the_answer_comes_first(capsys):
     assert lines[:6] == [
         "gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along the input axis. "
         "gyro_scale_quadratic would fit as well in place of gyro_scale_asymmetry: these runs cannot distinguish them.",
-        "Probability: an effect missing 0.998 (gyro_scale_asymmetry 0.54 or gyro_scale_quadratic 0.46 on gx); nothing "
-        "missing < 0.001.",
+        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54, 0.46); "
+        "nothing missing < 0.001.",
         "Predicted with gyro_scale_asymmetry added: Δχ² 98.4 at the noise known beforehand; residual of gx 2.80 → 1.50 "
         "deg/h rms.",
         "A run that would distinguish gyro_scale_asymmetry, gyro_scale_quadratic: rate_table on 'rate' in mounting "
@@ -92,8 +92,8 @@ def test_the_answer_comes_first(capsys):
             "is missing",
             "plant --result R",
         ),
-        ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62).", "add"),
-        ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42).", "add"),
+        ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62 for its", "add"),
+        ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42 for its", "add"),
         ("noise_model", 0.998, "The noise is not as modelled: heavy tails on gx. No effect explains it.", "compare R"),
         ("noise_model", 0.62, "The noise is probably not as modelled (probability 0.62): heavy tails", "compare R"),
         (
@@ -152,7 +152,7 @@ def test_a_prior_that_the_data_contradict_is_told_with_its_remedy():
     )  # fmt: skip
     wrong = Disagreement(run="", row=None, log_odds=300.0, causes=(cause,))
     said = sentence(diagnosis("run_disagrees", 0.998).model_copy(update={"disagreeing": (wrong,)}))
-    assert "accel_bias.bias[ax] is 26 of its standard deviations off" in said
+    assert "the fitted accel_bias.bias[ax] is 26 prior standard deviations from its prior" in said
     assert "State a wider prior" in said
     assert "run" not in said
 

@@ -11,15 +11,15 @@ def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:
     shared = slot(("gyro_scale_asymmetry", 0.537), ("gyro_scale_quadratic", 0.463))
     said = evidence_text(evidence({"effects": 0.998}, (shared,), known=0.5))
     assert said == (
-        "Probability: an effect missing 0.998 (gyro_scale_asymmetry 0.54 or gyro_scale_quadratic 0.46 on gx); nothing "
-        "missing < 0.001. The noise is known beforehand only to within a factor of 1.6."
+        "Probability: an effect missing 0.998 (gyro_scale_asymmetry or gyro_scale_quadratic on gx, shares 0.54, 0.46); "
+        "nothing missing < 0.001. The noise is known beforehand only to within a factor of 1.6."
     )
 
 
 def test_nothing_missing_is_told_with_the_nearest_effect() -> None:
     said = evidence_text(evidence({"nothing": 0.95, "effects": 0.05}))
     assert said.startswith("Probability: nothing missing 0.95; an effect missing 0.05 (accel_cubic 0.04).")
-    assert said.endswith("The first two explanations are close: prior odds of 7 to 1 would reverse their order.")
+    assert said.endswith("prior odds of 7 to 1 in favour of the second would reverse their order.")
 
 
 def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:

@@ -39,8 +39,8 @@ def test_the_last_lines_repeat_the_outcome(plain):
     outcomes = [summary_report(each).closing[-1].partition(" χ²")[0] for each in (plain, flawed, stuck)]
     assert outcomes == [
         "Converged. The data determined 82 of 86 parameters.",
-        "Converged, but the intervals cannot be trusted; the first line says why.",
-        "The fit did not converge; the first line says why.",
+        "Converged, but the intervals cannot be trusted. The first line gives the reason.",
+        "The fit did not converge. The first line gives the reason.",
     ]
 
 
@@ -60,7 +60,7 @@ def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
     assert said((), 0.2) == ""
     told = said((gravity,), 0.2)
     assert "Taken as exact by the model: gravity anomaly (u = 50 µg, assumed for normal gravity). The" in told
-    assert "If gravity determines scale_factor[ax], its standard uncertainty there is 51 ppm instead of 10 ppm" in told
+    assert "There, the standard uncertainty of scale_factor[ax] is 51 ppm instead of 10 ppm, if" in told
     assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
     stated = said((gravity, rate), 20.0)
     assert "table rate error (u = 4.0 ppm, stated)" in stated
@@ -109,7 +109,7 @@ def test_suspected_noise_is_a_notice_and_no_alarm(plain):
     doubted = plain.model_copy(update={"noise_suspected": VIOLATIONS[1:]})
     assert alarm_of(doubted) == ""
     (notice,) = notices(doubted)
-    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance;")
+    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-07). This may be chance.")
     assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
     assert "Suspected:" in summary_html(doubted)
     # If there is an alarm it says enough.

@@ -232,7 +232,7 @@ def test_the_next_best_model_is_taken_in_two_clicks_and_seen_beside_the_one_befo
         shown = walk.said("Monolix's next best model: its residuals")
         page.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")
         walk.click("#side-by-side")
-        page.wait("document.querySelector('#beside-title').textContent.startsWith('residual of the model before')")
+        page.wait("document.querySelector('#beside-title').textContent.startsWith('residual of the previous model')")
         with capsys.disabled():
             print(f"\n{shown}; {walk.said('fitted, beside the one before')}")
         assert walk.clicks == 3

@@ -301,7 +301,8 @@ def test_the_probabilities_of_the_diagnosis_stand_in_the_record_and_on_the_page(
     assert record.adequacy.explanations is not None
     assert record.adequacy.explanations.of("effects").probability == 0.998
     assert record.adequacy.missing == (ASYMMETRY, QUADRATIC)
-    assert f"Probability: an effect missing 0.998 ({ASYMMETRY} 0.54 or {QUADRATIC} 0.46 on gx)" in visible(page)
+    shares = f"({ASYMMETRY} or {QUADRATIC} on gx, shares 0.54, 0.46)"
+    assert f"Probability: an effect missing 0.998 {shares}" in visible(page)
 
 
 def test_a_fit_that_did_not_converge_says_so_and_cannot_pass(result, tmp_path):

@@ -68,8 +68,8 @@ def _said(record: WrongRecord, own: DoubtedRun | None, others: Sequence[str]) ->
 def _found(doubted: DoubtedRun) -> Finding:
     """Return a run that only the model shows to disagree with the others."""
     causes = doubted.causes
-    what = f"the other runs do not predict run '{doubted.run}' at the noise known before the fit"
-    remedy = "`imubayes diagnose` of the fit weighs missing effects beside wrong records"
+    what = f"the other runs do not predict run '{doubted.run}' at the noise known beforehand"
+    remedy = "`imubayes diagnose` weighs missing effects as well as wrong records, after a fit"
     if causes:
         what = f"run '{doubted.run}' would agree with {', or with '.join(agreement_text(each) for each in causes)}"
         what += ", weighed against the model"

@@ -35,8 +35,8 @@ def check(
     """Read a campaign and list its contents and faults.
 
     The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
-    channels, files, latitude, thermometers. The zero of a table: table x is horizontal, 90 deg clockwise from
-    azimuth_deg, y = z x x, and angles are right-handed about z (picture in data/README.md).
+    channels, files, latitude, thermometers.  At the zero of a table, table x is horizontal, 90 deg clockwise from
+    azimuth_deg, and y = z x x. Angles are right-handed about z (picture in data/README.md).
 
     Example: imubayes check data/trihedral-imu --model models/trihedral-imu.toml
 
@@ -53,7 +53,7 @@ def check(
     as_json
         Print one JSON object on standard output.
     verbose
-        List every run and every note; otherwise those of one kind are one line.
+        List every run and every note. Without it, those of one kind are combined into one line.
     """
     from imubayes.display.check_report import check_record, check_report
 
@@ -204,7 +204,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

@@ -41,7 +41,7 @@ def classical(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         trusting(result, trust)
@@ -102,13 +102,13 @@ def compare(
     result
         Result folder of a fit.
     other
-        Result folder of a later calibration of the same unit: agreement, quantities that moved, pooled estimates.
+        Result folder of a later calibration of the same unit, with which to compare the first.
     parameters
-        Names for a corner plot; with --every the mounting angles and scale factors that are determined least.
+        Quantities of a corner plot. With --every, the default is the least determined angles and scale factors.
     runs
-        Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
+        Runs to draw in separate figures, or 'all'. With --every, the default is the six that fit worst.
     every
-        Draw all figures; by default the five that matter most are drawn, and those requested.
+        Draw all figures. By default the five most important ones are drawn, and those requested.
     changed
         For two calibrations: tables and mountings that have the same name in both but are different equipment.
     any_unit
@@ -120,7 +120,7 @@ def compare(
     verbose
         For two calibrations: print every quantity.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
@@ -185,7 +185,7 @@ def predict(
     verbose
         Print a line for each run and channel, and every estimate.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax("predict")
@@ -233,7 +233,7 @@ def fit(
     seed
         Seed of the sampler.
     resume
-        Continue the sampling that was interrupted.
+        Continue a sampling that was interrupted.
     replace
         Replace a sampled result in the result folder.
     until_digits
@@ -245,7 +245,7 @@ def fit(
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with ExitStack() as held:
         recorded = _read(campaign, held, out, resume, replace)

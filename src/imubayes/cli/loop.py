@@ -37,7 +37,7 @@ class _HowRefitted:
     verbose
         List the residual rms of every channel and run, also of those that did not change.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
 
     sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False
@@ -64,8 +64,9 @@ def add(
     Parameters
     ----------
     effects
-        Names of effects or noise components; `imubayes effects` lists them. A Python file, as `imubayes diagnose
-        --python` prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
+        Names of effects or noise components; `imubayes effects` lists them. A Python file, such as
+        `imubayes diagnose --python` prints, stands for the effects that it defines. Without names, the simplest
+        explanation of the diagnosis is added.
     to
         Result folder of the model to start from; it is not changed.
     out
@@ -120,7 +121,7 @@ def diagnose(
     verbose
         Print every table: all effects, noise, outliers, formulas and undetectable effects.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax("diagnose")
@@ -177,7 +178,7 @@ def history(
     Parameters
     ----------
     results
-        Result folders; the models before and after each are found from it.
+        Result folders. The models before and after each of them are found automatically.
     select
         Make this result the selected one; to undo a step, select the result before it.
     export
@@ -255,9 +256,9 @@ def plant(
     effects
         Effects to plant; by default all that the model lacks.
     size
-        Plant at this multiple of the largest size met in practice.
+        Plant each effect at this multiple of the largest size met in practice.
     delta_chi2
-        Plant at the size at which adding the effect would lower chi2 by this much.
+        Plant each effect at the size at which adding it would lower chi2 by this much.
     draws
         Simulations with nothing planted, for the rate of false alarms.
     seed
@@ -265,7 +266,7 @@ def plant(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

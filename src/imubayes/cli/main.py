@@ -152,7 +152,7 @@ def _refuse(*issues: Issue, written: str = "") -> int:
         print(f"\n{len(issues)} problems found", file=sys.stderr)
     if written:
         print(
-            f"\nwritten to be corrected: {written}, with its faults at the head of campaign.toml; "
+            f"\nwritten to be corrected: {written}, with its faults at the top of campaign.toml; "
             f"next: imubayes check {written}, then imubayes new {written} for the model",
             file=sys.stderr,
         )

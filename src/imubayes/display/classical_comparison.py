@@ -280,7 +280,7 @@ def classical_sheet(estimates: Sequence[ComparedEstimate]) -> Sheet:
         few.append(cells(*names, f"{_with_sd(value, sd)} {unit}", _with_sd(joint[0].text, joint[1].text)))
     columns = ("joint", "sd", "difference", "explained by") if with_joint else ()
     head, title = ("quantity", "run", "classical", "sd", *columns, "unit"), "Classical estimates, run by run"
-    note = "The classical sd is the scatter about the fitted curve; errors of its assumptions are not contained."
+    note = "The classical sd is the scatter about the fitted curve. It does not include errors of the assumptions."
     sheet = Sheet(title, head, rows, (0, 1, 7) if with_joint else (0, 1), "", note)
     if not with_joint:
         return sheet.with_narrow(("quantity", "run", "classical ± sd"), [row[:3] for row in few], (0, 1))

@@ -227,7 +227,7 @@ def _is_asked(name: str, parameters: Sequence[str] | None, runs: Sequence[str] |
 
 def _left_out(count: int) -> Iterator[str]:
     if count:
-        yield f"{count} more figures and a corner plot: --every; single runs: --runs NAME…"
+        yield f"--every draws {count} more figures and a corner plot; --runs NAME… draws single runs."
 
 
 def _for_corner(

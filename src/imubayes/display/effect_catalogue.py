@@ -34,6 +34,12 @@ def print_catalogue() -> None:
     print("imubayes effects --for CAMPAIGN lists those that a campaign could show.")
 
 
+_TYPICAL = (
+    "typical: sizes met in practice, from which `diagnose` derives its prior. The source may state those of one class "
+    "of sensors."
+)
+
+
 def print_observable(campaign: Campaign) -> None:
     """Print which effects a campaign could show, in how many of its runs, and what the others lack."""
     found = observability(campaign)
@@ -88,6 +94,7 @@ def print_effect(effect: str) -> None:
             console.print(line, highlight=False)
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
+    console.print(_TYPICAL, highlight=False)
     console.print(f"\nneeds: {', '.join(map(remedy, member.needs)) or 'nothing special'}", highlight=False)
     console.print(f"one value per: {_scope(member)}", highlight=False)
     if member.excludes:

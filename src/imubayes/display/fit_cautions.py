@@ -235,7 +235,7 @@ def _gravity_text(summary: Summary) -> str:
     if not scales or whole <= _MATTERS * own:
         return ""
     own, whole = (significant(each, 2) for each in (own, whole))
-    return f" If gravity determines {name}, its standard uncertainty there is {whole} ppm instead of {own} ppm."
+    return f" There, the standard uncertainty of {name} is {whole} ppm instead of {own} ppm, if gravity determines it."
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
@@ -245,7 +245,7 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
         return ()
     names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
     verb, command = "does" if len(doubted) == 1 else "do", command_line("diagnose", *filter(None, [result]))
-    said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
+    said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known beforehand"
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
         return (
@@ -257,9 +257,7 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     )
 
 
-_SUSPECTED = (
-    "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would show which."
-)
+_SUSPECTED = "Suspected: {}. This may be chance. If it is not, the intervals are too narrow. Longer runs would decide."
 
 
 def _rests_on_prior(found: PriorScatter) -> str:

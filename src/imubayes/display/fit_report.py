@@ -71,26 +71,26 @@ def weak_lines(summary: Summary) -> tuple[str, ...]:
     said = [f"{quantities.MARK} Not determined (less than {least} from the data): {listed(loose)}."] * bool(loose)
     said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
     sums = len(summary.combinations)
-    determined = f"; determined combinations: {sums}" if sums else ""
-    said += [f"Weakly determined combinations of parameters: {weak}{determined}."] * bool(weak)
+    determined = f", and {counted(sums, 'combination')} of parameters well" if sums else ""
+    said += [f"The data determine {counted(weak, 'combination')} of parameters weakly{determined}."] * bool(weak)
     if summary.next_runs:
         first = summary.next_runs[0]
         said.append(
             f"Next run: {quality.run_design_text(first.run)} ({first.quantity}: sd {quality.narrowing_text(first)})."
         )
     said += [quantities.sampling_note(summary.parameters).strip()] if summary.sampled else []
-    where = f"All tables, with {counted(len(summary.parameters), 'parameter')}: --verbose."
+    where = f"--verbose prints all tables, with {counted(len(summary.parameters), 'parameter')}."
     return (" ".join([*filter(None, said), where]),)
 
 
 def _outcome(summary: Summary) -> str:
     """Return what the first line said, for a reader who sees only the last ones."""
     if summary.implausible or summary.unexplained:
-        return "The fit failed; the first line says why."
+        return "The fit failed. The first line gives the reason."
     if not summary.converged:
-        return "The fit did not converge; the first line says why."
+        return "The fit did not converge. The first line gives the reason."
     if cautions.alarm_of(summary):
-        return "Converged, but the intervals cannot be trusted; the first line says why."
+        return "Converged, but the intervals cannot be trusted. The first line gives the reason."
     count = len(summary.parameters)
     determined = count - sum(map(quantities.is_undetermined, summary.parameters))
     share = "every parameter" if determined == count else f"{determined} of {counted(count, 'parameter')}"

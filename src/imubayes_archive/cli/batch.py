@@ -144,7 +144,7 @@ def population(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     from imubayes_archive.display.population_report import population_report
 
@@ -203,7 +203,7 @@ def prior(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     from dataclasses import asdict
 
@@ -249,7 +249,7 @@ def diagnose(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     start_jax()
     from imubayes_archive.display.batch_report import discovery_report

@@ -13,7 +13,7 @@ from imubayes_archive.dataset import ArchivedCampaign, Packed
 
 def packed_report(packed: Packed, out: Path) -> Report:
     """Return what packing did."""
-    said = f"{counted(len(packed.added), 'campaign')} added to {out}, {packed.present} already there"
+    said = f"{counted(len(packed.added), 'campaign')} added to {out}, {packed.present} already in it"
     refused = [str(issue) for refusal in packed.refused for issue in refusal.issues]
     if packed.refused:
         were = "was" if len(packed.refused) == 1 else "were"

@@ -145,11 +145,15 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: S
 
 
 def _to_look_at(doubts: Sequence[UnitInDoubt]) -> Sheet:
-    """Return the units that need a person, with the reasons."""
+    """Return the units that need a person, with a line for each reason."""
     by_unit: dict[str, list[UnitInDoubt]] = {}
     for each in doubts:
         by_unit.setdefault(each.unit, []).append(each)
-    rows = [cells(unit, "; ".join(map(_reason, reasons))) for unit, reasons in list(by_unit.items())[:_SHOWN]]
+    rows = [
+        cells("" if place else unit, _reason(each))
+        for unit, reasons in list(by_unit.items())[:_SHOWN]
+        for place, each in enumerate(reasons)
+    ]
     return Sheet("Units to look at", ("unit", "reason"), rows, left=(0, 1))
 
 
@@ -227,10 +231,10 @@ def _finding_lines(each: PooledFinding) -> list[str]:
             f"{one.effect}{f' ({one.equipment})' if one.equipment else ''} {probability(one.probability)}"
             for one in each.place
         ]
-        lines.append(f"In its place: {' or '.join(told)}.")
+        lines.append(f"These units cannot distinguish, with shares: {' or '.join(told)}.")
     if each.named:
         shown = ", ".join(each.named[:_MOST_NAMED]) + (", …" if len(each.named) > _MOST_NAMED else "")
-        lines.append(f"Shown by {counted(len(each.named), 'unit')} alone: {shown}.")
+        lines.append(f"Shown by each of {counted(len(each.named), 'unit')} alone: {shown}.")
     return lines
 
 
@@ -247,7 +251,7 @@ def _next(found: PooledDiscovery) -> list[str]:
     # All that the units do not distinguish: the posterior then holds each explanation.
     entries = " and ".join(f'[[effect]] name = "{effect}"' for effect in found.findings[0].effects)
     return [
-        f"next: write {entries} in a copy of the model, run imubayes batch with it and --out of another folder, then "
+        f"next: add {entries} to a copy of the model, run imubayes batch with the copy and another --out, then "
         "imubayes batch compare OLD NEW"
     ]
 

@@ -40,8 +40,8 @@ def population_report(found: Populations, fit: HierarchicalFit | None = None) ->
 
 _NOTE = (
     "mean: of the first group, of the units before a step, or at the middle of a trend; spread: half the width of the "
-    "central 68.3 % within a group; 0.57(9): 0.57 ± 0.09; (log): of the natural logarithm; units: those whose data are "
-    "informative, of all"
+    "central 68.3 % within a group; 0.57(9): 0.57 ± 0.09; (log): of the natural logarithm; units: number whose data "
+    "determine the parameter, of all"
 )
 
 
@@ -55,7 +55,10 @@ def _unknown(found: Populations) -> Iterator[str]:
 
 def _of_doubted(fit: HierarchicalFit | None) -> Iterator[str]:
     if fit is not None and fit.doubted:
-        yield f"Intervals must not be trusted, neither alone nor given the population: {listed(fit.doubted)}."
+        yield (
+            "Intervals of these units must not be trusted, neither alone nor given the population: "
+            f"{listed(fit.doubted)}."
+        )
 
 
 def _nothing(known: Sequence[ParameterPopulation]) -> Iterator[str]:

@@ -34,7 +34,7 @@ function side(actions) {
     return el("div", { class: "row" }, el("button", { "data-key": "copy", onclick: actions.copy }, "copy as a script"), el("button", { "data-key": "script", onclick: actions.script }, "save it"));
   }
   return el("div", { class: "row" },
-    el("button", { "data-key": "undo", id: "undo", onclick: actions.undo, disabled: !parentOf(view.model), title: "key u: back to the model before" }, "undo"),
+    el("button", { "data-key": "undo", id: "undo", onclick: actions.undo, disabled: !parentOf(view.model), title: "key u: back to the previous model" }, "undo"),
     el("button", { "data-key": "export", id: "export", onclick: actions.export }, "export the selected model"),
     el("button", { "data-key": "save", id: "save", onclick: actions.save }, "save as a page"));
 }

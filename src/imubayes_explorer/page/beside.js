@@ -1,4 +1,4 @@
-// Two models side by side: the residuals of the model before, or with the preview, on the axes of those that are shown.
+// Two models side by side: the residuals of the previous model, or with the preview, on the axes of those that are shown.
 
 import { parentOf } from "./below.js";
 import { Chart } from "./chart.js";
@@ -7,7 +7,7 @@ import { drawBand, drawPoints } from "./marks.js";
 import { ask, latest, points } from "./net.js";
 import { told, view } from "./state.js";
 
-// Ask for the residuals of the model before this one, which is opened where it is not; whether there is news.
+// Ask for the residuals of the previous model this one, which is opened where it is not; whether there is news.
 export async function loadBefore(wanted, attempt) {
   const parent = parentOf(view.model);
   if (!view.beside || !parent) {
@@ -38,7 +38,7 @@ export class Beside {
     this.chart.build();
   }
 
-  // Those of the same model with a preview or before its refit, else those of the model before; null for none.
+  // Those of the same model with a preview or before its refit, else those of the previous model; null for none.
   points(previewing) {
     if (!view.beside || !told.points) return null;
     if (previewing) return { points: told.points, y: told.points.after, title: `with ${told.preview.effects.join(", ")}`, later: true };
@@ -47,7 +47,7 @@ export class Beside {
     if (before?.of !== view.model) return null;
     // What is selected is selected in both: a brush of residuals is meant of those that are shown.
     const marked = before.points.head.count === told.points.head.count ? told.points.marked : before.points.marked;
-    return { points: { ...before.points, marked }, y: before.points.y, title: "of the model before", model: before.title, later: false };
+    return { points: { ...before.points, marked }, y: before.points.y, title: "of the previous model", model: before.title, later: false };
   }
 
   show(other, ranges, head) {

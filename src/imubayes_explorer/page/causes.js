@@ -36,14 +36,14 @@ export function drawCauses(place, actions) {
     ready ? null : el("div", { id: "so-far" }, soFar()),
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
-    selection ? el("p", { class: "aside quiet" }, "Each cause is judged by how well it predicts these readings from all others. Mark on the bar: probability from all readings.") : null,
+    selection ? el("p", { class: "aside quiet" }, "Each cause is judged by its prediction of these readings from all others. The mark on the bar is the probability from all readings.") : null,
     accept(actions, selection));
 }
 
 function weighing(facts) {
   if (kept) return el("p", { class: "aside quiet" }, "The page was saved before the explanations of this model were weighed.");
   return el("p", { class: "aside quiet", id: "weighing", role: "status" }, el("progress", { "aria-label": "weighing" }), " ", el("span", { id: "weighing-step" }, told.weighing || "waiting"), ". ",
-    facts.stage === "read" ? "Map and residuals do not wait for the causes." : "The diagnosis is available; previews and selections follow shortly.");
+    facts.stage === "read" ? "Map and residuals can be used before the causes are ready." : "The diagnosis is available; previews and selections follow shortly.");
 }
 
 export function tellWeighing() {

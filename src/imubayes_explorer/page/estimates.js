@@ -41,7 +41,7 @@ export function drawEstimates(panel, actions) {
     el("table", { class: "wide", id: "calibration" },
       el("thead", {}, el("tr", {}, el("th", { class: "left" }, "name"), head.map((words) => el("th", { class: words === "unit" ? "left" : "" }, words)))),
       el("tbody", {}, first.map(row), rest.map(row))),
-    el("p", { class: "aside quiet" }, note, compared ? " Shift: in standard uncertainties; – is less than a twentieth." : ""));
+    el("p", { class: "aside quiet" }, note, compared ? " The shift is given in standard uncertainties; – means less than a twentieth." : ""));
 }
 
 function shiftWords(line, preview, moved) {

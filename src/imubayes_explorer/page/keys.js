@@ -5,8 +5,8 @@ import { el, fill } from "./dom.js";
 const KEYS = [
   ["?", "this list"], ["t", "guided tour"], ["h", "fold or unfold the verdict"], ["m", "to the map; arrows walk, Enter selects a cell"],
   ["r", "to the residuals; ← → move a selection, ⇧ ← → change its width"], ["c", "to the causes; Space ticks one, Enter adds the ticked ones"],
-  ["a", "add the ticked causes, and refit"], ["x", "cancel the running task"], ["u", "undo: back to the model before"],
-  ["n", "next channel (N: the one before)"], ["v", "next covariate on the abscissa (V: the one before)"],
+  ["a", "add the ticked causes, and refit"], ["x", "cancel the running task"], ["u", "undo: back to the previous model"],
+  ["n", "next channel (N: the previous one)"], ["v", "next covariate on the abscissa (V: the previous one)"],
   ["y", "next kind of residual"], ["o", "only selected runs"], ["p", "residual after the preview"], ["b", "side by side: the residuals of the previous model, or with the preview, on the same axes"], ["f", "formula of the residual of this channel, as an effect to add"],
   ["w", "draw a shape over the residuals: arrows move, Space sets a point, Enter gets its formula"], ["g", "the panels as SVG (G: PNG)"], ["s", "set the selected readings aside, with a reason"], ["z", "zoom to the selection (Z: whole range)"], ["Esc", "clear the selection, then the ticks"],
   ["1 … 4", "models, estimates, what is known, commands"], ["e", "export the selected model"], ["d", "light or dark"],

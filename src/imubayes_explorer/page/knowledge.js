@@ -53,7 +53,7 @@ function cornerOf(names, actions) {
       el("button", { class: "plain", "data-key": `drop-${name}`, "aria-label": `remove ${name} from the picture`, onclick: () => show({ quantities: names.filter((each) => each !== name) }) }, "×")))),
     here ? [
       here.quantities.length === 1 && here.quantities[0].written ? prior(here.quantities[0], actions) : null,
-      el("figure", {}, el("figcaption", {}, here.quantities.length === 1 ? numbersOf(here.quantities[0]) : "Joint regions with 50 and 95 % of the draws, ρ: correlation. ", el("span", { class: "posterior-words" }, "Posterior"), ", ", el("span", { class: "quiet" }, "prior (dashed)"), "."), corner(here)),
+      el("figure", {}, el("figcaption", {}, here.quantities.length === 1 ? numbersOf(here.quantities[0]) : "Joint regions contain 50 and 95 % of the draws. ρ: correlation.  ", el("span", { class: "posterior-words" }, "Posterior"), ", ", el("span", { class: "quiet" }, "prior (dashed)"), "."), corner(here)),
       here.quantities.length > 1 ? numbersTable(here.quantities) : null,
       runs(names, actions),
     ].flat() : el("p", { class: "quiet" }, "…"),

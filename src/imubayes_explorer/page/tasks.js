@@ -53,7 +53,7 @@ function ended(task) {
   if (task.state === "failed") {
     return el("div", {}, el("span", { class: "fault", role: "alert" }, `${task.what} failed\n${task.issues.join("\n")}`), close(() => tell({ dismissed: task.number })));
   }
-  const cancelled = `${task.what} was cancelled; ${task.lines.length ? "what it had written stays." : "nothing was written."}`;
+  const cancelled = `${task.what} was cancelled; ${task.lines.length ? "what it had written remains." : "nothing was written."}`;
   const said = task.state === "cancelled" ? [cancelled, ...task.lines] : task.lines;
   return said.length ? el("div", {}, el("span", { class: "said" }, minus(said.join("\n"))), close(() => tell({ dismissed: task.number }))) : null;
 }

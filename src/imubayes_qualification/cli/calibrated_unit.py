@@ -32,7 +32,7 @@ def apply(
     """Correct a recording of a calibrated unit: outputs become rates and accelerations, with uncertainty.
 
     A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
-    channels jointly; the systematic uncertainty of the calibration and the random one of the row are given apart.
+    channels jointly. The systematic uncertainty of the calibration and the random one of the row are separate.
     Readings of single channels, or of channels that do not span three axes, become inputs along the axis of each
     channel. Effects of the model that depend on quantities missing from the recording are not corrected. They are
     named, and the uncertainty includes them.
@@ -57,7 +57,7 @@ def apply(
     along_axes
         Treat every channel alone: there was no input across its axis.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
@@ -113,7 +113,7 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     out
         The table to write (CSV); a picture of the turning bias goes beside it.
     result
-        Result folder of a fit of the same campaign, whose fitted errors are taken out first.
+        Result folder of a fit of the same campaign, whose fitted errors are corrected first.
     """
     with progress() as tell:
         from imubayes import load_campaign
@@ -178,7 +178,7 @@ def export(
     accept_loss
         Leave out the terms that the format cannot hold; the file lists them with their size.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     start_jax()
     trusting(result, trust)
@@ -217,7 +217,7 @@ def mission(
     Parameters
     ----------
     result
-        Result folder of a unit with three axes of each kind; `imubayes diagnose` adds effects that no run could show.
+        Result folder of a unit with three axes of each kind. After `imubayes diagnose`, undetectable effects are shown.
     trajectory
         CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg. Without it the
         mission is level.
@@ -240,7 +240,7 @@ def mission(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress("propagating"):
         start_jax()
@@ -297,7 +297,7 @@ def report(
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.
     trust
-        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
+        Trust the effect files that come with the input, and remember them. They are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

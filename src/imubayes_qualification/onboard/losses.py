@@ -52,7 +52,7 @@ def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> Non
     mine = f"unit {campaign.serial}" if campaign.serial else f"campaign {campaign.name}, which states no serial number"
     raise input_error(
         f"the noise record is from {of}, the constants are of {mine}", where, "a static record of the same unit",
-        "record this unit and run `imubayes noise` on it, or use that record all the same with --noise-of-another-unit",
+        "record this unit and run `imubayes noise` on it, or use that record nevertheless with --noise-of-another-unit",
     )  # fmt: skip
 
 

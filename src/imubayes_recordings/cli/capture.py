@@ -36,16 +36,16 @@ def capture(
         A text file that grows, or - for lines of standard input; these are kept in FOLDER.log until the campaign is
         written.
     until
-        EFFECT=UNCERTAINTY, the largest standard uncertainties: accel_bias=0.3mg accel_scale_factor=300ppm
-        accel_misalignment=2arcmin gyro_bias=20deg/h gyro_scale_factor=0.1% gyro_misalignment=4arcmin by default; the
-        defaults of a motion are wider (see the manual).
+        EFFECT=UNCERTAINTY, the largest permitted standard uncertainties; by default accel_bias=0.3mg
+        accel_scale_factor=300ppm accel_misalignment=2arcmin gyro_bias=20deg/h gyro_scale_factor=0.1%
+        gyro_misalignment=4arcmin. The defaults of --motion are larger (see the manual).
     motion
         poses, held at rest; drill, turns about one axis after the other on a drill, a wheel or a chair on its side;
         wave, moved slowly by hand without rests.
     seconds
         Duration of each motion: 20 for a drill, 60 for waving by default.
     patience
-        Seconds without a line after which a file has ended.
+        Seconds without a line after which a file is taken to have ended.
     column
         COLUMN=SOURCE, once for each column that has a different name; see convert.
     """

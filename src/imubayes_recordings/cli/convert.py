@@ -45,7 +45,8 @@ def convert(
     Parameters
     ----------
     files
-        The recording: one file, accelerometers and gyros apart, the parts of a record, or one file for each face.
+        The recording: one file, separate files of accelerometers and gyros, the parts of a record, or one file for
+        each face.
     out
         Campaign folder to write. Without it, the interpretation is only shown.
     mapping
@@ -84,8 +85,8 @@ def new(
     Parameters
     ----------
     folder
-        Campaign folder to write. Without files: one that has a campaign and lacks model.toml, or, with --procedure, a
-        campaign to fill in, with "?" for facts that no option states.
+        Campaign folder to write. Without files: a folder with a campaign, to which new adds model.toml. Without files
+        but with --procedure: new writes a campaign to fill in, with "?" for facts that no option states.
     files
         The recording; see convert.
     mapping

@@ -29,9 +29,9 @@ class ConvertOptions:
     """Topics of a recording with several, or acc=TOPIC and gyro=TOPIC if their names do not state the sensor; by
     default those that hold accelerometers and gyros."""
     accel_unit: str = ""
-    """Unit of the accelerometers: m/s^2, g, mg, ug, cm/s^2, count, or m/s (increments a sample)."""
+    """Unit of the accelerometers: m/s^2, g, mg, ug, cm/s^2, count, or m/s (increments per sample)."""
     gyro_unit: str = ""
-    """Unit of the gyros: rad/s, deg/s, mrad/s, mdeg/s, deg/h, count, or rad or deg (increments a sample)."""
+    """Unit of the gyros: rad/s, deg/s, mrad/s, mdeg/s, deg/h, count, or rad or deg (increments per sample)."""
     accel_scale: Sequence[float] | None = None
     """Nominal counts per m/s², one number or one per axis; by default estimated from the recording."""
     accel_offset: Sequence[float] | None = None
@@ -45,8 +45,8 @@ class ConvertOptions:
     time_unit: str = ""
     """Unit of the time column: s, ms, us, ns, 100us, min or h."""
     clock: str = ""
-    """recorded: times as they are; even: samples evenly spaced at the mean rate; by default even if they arrive in
-    packets."""
+    """recorded: times as they are; even: samples evenly spaced at the mean rate. The default is recorded, unless the
+    samples arrive in packets."""
     rows: str = ""
     """samples: a raw log; means: each row is the mean of one pose at rest; by default determined from the
     numbers."""

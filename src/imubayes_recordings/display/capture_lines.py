@@ -29,7 +29,7 @@ def now_line(step: Guidance) -> str:
 
 def plan_lines(step: Guidance) -> list[str]:
     """Return what the planned motions are expected to determine, and the first of them."""
-    lines = [f"Standard uncertainties to expect of the planned motions, {step.of:g} s each:"]
+    lines = [f"Standard uncertainties that the planned motions are expected to give, {step.of:g} s each:"]
     return [*lines, *(f"  {line}" for line in expected_lines(step.expected)), step.ask]
 
 

@@ -169,6 +169,6 @@ def proposal_report(proposal: EffectProposal) -> Report:
     names = list(dict.fromkeys(each.spec.name for each in proposal.effects))
     lines = [f"The model has {counted(len(names), 'effect')}: {listed(names, 20)}."]
     if proposal.expected:
-        lines += ["Standard uncertainties that the runs are expected to give, by their noise before a fit:"]
+        lines += ["Standard uncertainties that the runs are expected to give, estimated from their noise:"]
         lines += expected_lines(proposal.expected)
     return Report([*lines, *(line.removeprefix("#").strip() for line in _left_out(proposal) if line)])

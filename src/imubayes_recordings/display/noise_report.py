@@ -166,7 +166,7 @@ _CAUSES = {
     Cause.FILTER: "a filter shapes the frequencies that determine it. Give an unfiltered log, or a longer record.",
     Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
     Cause.CHANGE: "low frequencies contain the change. Give a settled part of the record.",
-    Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
+    Cause.DISTURBANCE: "the disturbance extends over the whole spectrum. Give a part of the record without it.",
     Cause.REPETITION: "the log is too coarse to distinguish repeated values from equal ones. Give the sensor's own "
     "log.",
     Cause.ROUNDING: (
@@ -197,12 +197,12 @@ def _left_out(noise: ChannelNoise) -> Iterator[str]:
     if (found := noise.contamination) is not None:
         many = "a stretch is" if found.count == 1 else f"{found.count} stretches are"
         yield (
-            f"{many} left out in which the unit did not rest, {100 * found.share:.2g} % of the record, the loudest at "
-            f"{found.loudest_s:.6g} s."
+            f"{many} left out in which the unit did not rest, {100 * found.share:.2g} % of the record, the "
+            f"largest disturbance at {found.loudest_s:.6g} s."
         )
     if (found := noise.temperature) is not None:
         slope = f"{found.slope:.3g} ± {found.sd:.1g} {unit} per K"
-        yield f"the output follows temperature_degC, by {slope}; this is taken out before the noise."
+        yield f"the output follows temperature_degC, by {slope}. This is removed before the noise is estimated."
     if noise.lines:
         named = ", ".join(
             f"{line.frequency_hz:.5g} Hz (amplitude {line.amplitude:.3g} ± {line.amplitude_sd:.1g})"
@@ -210,7 +210,7 @@ def _left_out(noise: ChannelNoise) -> Iterator[str]:
         )
         more = f" and {len(noise.lines) - _MOST_LINES} more" if len(noise.lines) > _MOST_LINES else ""
         word = "a line" if len(noise.lines) == 1 else "lines"
-        yield f"the spectrum has {word} at {named} {unit}{more}, taken out before the fit."
+        yield f"the spectrum has {word} at {named} {unit}{more}, removed before the fit."
 
 
 def _not_as_described(noise: ChannelNoise) -> Iterator[str]:
@@ -280,7 +280,7 @@ def noise_report(noise: StaticNoise) -> Report:
     closing = (
         f"Intervals are {percent} profile-likelihood intervals (for a ramp, posterior intervals). Upper limits are "
         f"one-sided {percent} limits (for a ramp, the farther end of its interval). A term is determined if the record "
-        "needs it in addition to all others. In 1 to 2 % of records without a term, it is reported all the same. "
+        "needs it in addition to all others. In 1 to 2 % of records without a term, the term is reported nevertheless. "
         "As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk. Gauss–Markov noise with a correlation time longer "
         "than the record cannot be distinguished from a random walk.",

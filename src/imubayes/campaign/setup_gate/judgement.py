@@ -125,7 +125,7 @@ def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
     records = [each.wrong_record(campaign) for each in (found, *found.rivals)]
     best = records[0]
     what = f"row {best.row} of run '{best.run}' would agree with {', or with '.join(map(agreement_text, records))}: "
-    what += f"{found.distance:.2g} standard deviations of the other rows"
+    what += f"as recorded, it is off by {found.distance:.2g} standard deviations of the other rows"
     where = f"{places.table(found.run)}, row {best.row}, column '{best.quantity}'"
     return Finding(
         "row_disagrees", "warning", found.run, what, where, "the entries of that row", record_remedy(best), best
@@ -143,9 +143,9 @@ def _explained(
     first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
     others = others[:_MOST_ALTERNATIVES]
     what = ", or ".join([words.what, *(each.what for each in others)])
-    evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
+    evidence = f"{'each of them' if others else 'this'} fits the outputs far better (Δχ² {first.gain:.3g})"
     if first.rivalled:
-        evidence += f", but cannot distinguish it from {first.mistake.passes_for}"
+        evidence += f", but the outputs do not distinguish it from {first.mistake.passes_for}"
     remedy = words.remedy
     if others:
         what = f"the data cannot determine whether {what}"
@@ -154,7 +154,7 @@ def _explained(
     sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
-        remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
+        remedy += f'; if the record is right, write accepted = ["{first.mistake.kind}"] in campaign.toml'
     return Finding(
         first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy, records[0]
     )  # fmt: skip

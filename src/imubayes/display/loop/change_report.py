@@ -174,7 +174,7 @@ def _run_lines(change: ModelChange) -> list[str]:
         return [f"None of the {count} residual rms values by run and channel changed by {LEAST_PERCENT} % or more."]
     each = ", ".join(f"{one.name} {one.channel} {share(one)}" for one in changed[:_MOST_CHANGES])
     return [
-        f"Of the residual rms values by run and channel, {len(changed)} of {count} changed by {LEAST_PERCENT} % or "
+        f"{len(changed)} of {count} residual rms values by run and channel changed by {LEAST_PERCENT} % or "
         f"more: {each}{', …' if len(changed) > _MOST_CHANGES else ''} (all: --verbose)."
     ]
 

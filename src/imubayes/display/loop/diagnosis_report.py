@@ -46,15 +46,13 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         slim.append(cells(name, coefficient_text(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
         "Coefficient: the most significant one; a shape parameter, such as a time constant, has its most probable "
-        "value. Δχ²: predicted drop at the noise known beforehand if the effect alone is added. "
+        "value. Δχ²: drop at the noise known beforehand if the effect alone is added, with a free coefficient in the "
+        "linearised model. "
     )
-    odds = (
-        "Log odds: natural logarithm of the odds of the effect alone against nothing missing; beside a small "
-        "probability, a large value means that another effect explains the same residual better. "
-    )
+    odds = "Log odds: natural logarithm of the odds of the effect alone against nothing missing. "
     after = (
-        "Probability: the sum over all explanations that contain the effect. These runs cannot distinguish the "
-        "effects of one group."
+        "Probability: the sum over all explanations that contain the effect. It is small beside a large Δχ² if another "
+        "effect explains the same residual better. These runs cannot distinguish the effects of one group."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
     narrow = Sheet(_RANKING, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", before + after)
@@ -257,7 +255,8 @@ def _omitted(found: Diagnosis) -> list[str]:
     lists = {"ranked effect": found.ranking, "outlier": found.outliers}
     each = [counted(len(lines), name) for name, lines in lists.items() if lines]
     each += [f"{len(found.undetectable)} undetectable"] * bool(found.undetectable)
-    return [f"All tables ({', '.join(each)}): {command_line('diagnose', found.result, '--verbose')}"] if each else []
+    whole = command_line("diagnose", found.result, "--verbose")
+    return [f"All tables ({', '.join(each)}): {whole}"] if each else []
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:

@@ -99,11 +99,11 @@ def noise_text(noise: Iterable[FoundNoise]) -> str:
 
 
 def _slot(slot: EffectSlot) -> str:
-    first, *others = slot.candidates[:_MOST_NAMES]
-    names = (
-        [f"{each.effect} {probability(each.probability)}" for each in (first, *others)] if others else [first.effect]
-    )
-    return f"{' or '.join(names)} on {listed(slot.channels)}"
+    """Return the effects of a group, the channels, and the shares of the effects in the group."""
+    shown = slot.candidates[:_MOST_NAMES]
+    names = f"{' or '.join(each.effect for each in shown)} on {listed(slot.channels)}"
+    shares = ", ".join(probability(each.probability) for each in shown)
+    return f"{names}, shares {shares}" if shown[1:] else names
 
 
 def form_text(form: FoundForm) -> str:
@@ -134,7 +134,10 @@ def _assumptions(found: Evidence) -> str:
         said += f" The noise is known beforehand only to within a factor of {factor}."
     odds = sorted((each.log_odds for each in found.explanations if each.log_odds is not None), reverse=True)
     if len(odds) > 1 and odds[0] - odds[1] < _PRIOR_DOUBT:
-        said += " The first two explanations are close: prior odds of 7 to 1 would reverse their order."
+        said += (
+            " The first two explanations are close: prior odds of 7 to 1 in favour of the second would reverse their "
+            "order."
+        )
     return said
 
 
@@ -150,9 +153,9 @@ def place_text(found: Disagreement) -> str:
 
 def _prior_sentence(best: WrongRecord, chance: str, adverb: str) -> str:
     return (
-        f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
-        f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
-        "model, and fit again: the next diagnosis shows whether anything else is missing."
+        f"A prior{adverb} contradicts the data{chance}: the fitted {best.quantity} is "
+        f"{significant(abs(best.agreeing[0]), 2)} prior standard deviations from its prior. State a wider prior for "
+        "it in the model, and fit again. The next diagnosis shows whether anything else is missing."
     )
 
 
@@ -244,7 +247,7 @@ def _beside_form(found: diagnosis.Diagnosis) -> str:
     if not found.groups:
         return ""
     each = [f"{' or '.join(group.effects[:2])} on {listed(group.channels)}" for group in found.groups]
-    return f" The remaining residual fits {' and '.join(each)}: missing as well, or a part of that cause."
+    return f" The remaining residual resembles {' and '.join(each)}, missing as well or a part of the same cause."
 
 
 def _adequate_sentence(found: diagnosis.Diagnosis) -> str:
@@ -270,6 +273,8 @@ def _missing_sentence(found: diagnosis.Diagnosis) -> str:
 def _missing(group: diagnosis.EffectGroup, also: str = "") -> str:
     """Return that the first effect of a group is missing, and where."""
     adverb, chance = likely(group.probability)
+    if chance and group.effects[1:]:
+        chance = f" (probability {probability(group.probability)} for its group)"
     return f"{group.effects[0]} is{adverb} {also}missing on {listed(group.channels)}{chance}."
 
 

@@ -95,7 +95,7 @@ def _predicted_lines(prediction: RunPrediction) -> Iterator[str]:
     if not prediction.holds:
         yield from _failures(prediction)
     if found.fitted:
-        yield f"Left out, as they were fitted: {listed(found.fitted)}."
+        yield f"Left out, because the fit contains them: {listed(found.fitted)}."
     if found.changed:
         yield f"Different equipment under the same name: {listed(found.changed)}."
     if found.elsewhere:
@@ -118,7 +118,7 @@ def _failures(prediction: RunPrediction) -> Iterator[str]:
             "effect that the new runs show."
         )
     elif found.worst_run_p is not None and found.worst_run_p < least:
-        yield "No estimate explains it: look at the residuals of the runs and channels in red."
+        yield "No change of an estimate explains this. Look at the residuals of the runs and channels in red."
 
 
 def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
@@ -254,7 +254,8 @@ def _due(found: Repeatability) -> Iterator[str]:
 def _pooling(found: Repeatability) -> str:
     if found.pooled:
         return (
-            "They may be pooled: the last column is from both together, with priors and common equipment counted once."
+            "They may be pooled. The last column is the estimate from both, with priors and common equipment counted "
+            "once."
         )
     if found.verdict == "differ":
         return "They may not be pooled: fit the later one alone, or find the change."

@@ -72,7 +72,7 @@ def _not_shown(found: NavigationImpact) -> Iterator[Sheet]:
 def _not_propagated(found: NavigationImpact) -> Iterator[str]:
     """Yield what is left out of that table, and why."""
     if not found.diagnosed:
-        yield "Effects that the runs could not show: none are known; `imubayes diagnose RESULT` first adds them."
+        yield "Effects that the runs could not show are not known yet. `imubayes diagnose RESULT` determines them."
     left = []
     for needs in dict.fromkeys(each.needs for each in found.not_propagated):
         names = [each.effect for each in found.not_propagated if each.needs == needs]

@@ -45,10 +45,9 @@ _TABLE_NOTE = (
     "|c| u(x): standard uncertainty that it contributes; share: of the posterior variance."
 )
 _FIRST_NOTE = (
-    "Halve first: the contribution whose halving, by a better certificate or less noise, leaves the smallest u; the "
-    "weights of all other inputs change with it. Next run: the one that narrows the quantity most, "
-    "among repetitions and other runs that the equipment allows; a dash if none narrows it by "
-    "1 %. Both are linear predictions."
+    "Halve first: u becomes smallest if this contribution is halved, by a better certificate or less noise. Next run: "
+    "the run that narrows the quantity most, among repetitions and other runs that the equipment allows. A dash means "
+    "that none narrows it by 1 %. Both are linear predictions."
 )
 
 

@@ -181,11 +181,11 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
     note = (
         "Known contributions from site and equipment that the model takes as exact, and that no u or U of this "
         "document contains. They are listed if all together widen U by a twentieth or more. The campaign states no "
-        "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
-        "the model; wobble and encoder harmonics of a table can only be added as effects. A factor contains only "
-        "that part of each error that the data leave undetermined; annex A has the changes per unit of the whole "
+        "size, so that a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the "
+        "effect to the model. Wobble and encoder harmonics of a table can only be added as effects. A factor contains "
+        "only that part of each error that the data do not determine. Annex A lists the changes per unit of the whole "
         "error. Factors apply to values at T_ref. The factor of a limit over a range of temperatures is given with the "
-        "limit. A limit passes only if all of these together could not carry the value across it."
+        "limit. A limit passes only if all of these together could not move the value beyond it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 

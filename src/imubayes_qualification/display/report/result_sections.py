@@ -214,7 +214,7 @@ def combination_section(
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
         f"{words.digits_text(combinations)}{omitted}"
     )
-    table = without_empty_columns(Sheet("What the runs determine together", head, rows, (0, 1, 4, 6, 8), note=note))
+    table = without_empty_columns(Sheet("Combinations that the runs determine", head, rows, (0, 1, 4, 6, 8), note=note))
     yield Heading(_TOGETHER)
     yield table
 
