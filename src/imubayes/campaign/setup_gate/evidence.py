@@ -103,7 +103,9 @@ class ErrorModel:
         self.sd = self._standard_deviations(campaign)
         self.thermal = np.add.outer(self.own * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
-        self.g_sensitive = np.array([self.own * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
+        of_g = [*range(7, 10), *range(_OWN, self.own)]  # linear and quadratic
+        self.g_sensitive = np.array([self.own * k + each for k in gyro for each in of_g], dtype=int)
+        self.quadratic = np.array([each >= _OWN for _ in gyro for each in of_g], dtype=bool)
 
     def as_steady_as(self, steadiness: Steadiness) -> "ErrorModel":
         """Return the model of a unit of another steadiness."""
@@ -317,7 +319,7 @@ class ErrorModel:
         lower = np.linalg.cholesky(scaled)
         across = lower[..., count:, :count]
         left = (bordering - across @ across.swapaxes(-2, -1))[..., None, :, :]
-        variance = np.square(g_sensitivities)[:, None, None]
+        variance = np.square(self._widths_of_g(np.asarray(g_sensitivities)))[:, :, None]
         inner = np.eye(len(last) - 1) + variance * left[..., :-1, :-1]
         rest = left[..., :-1, -1:]
         solved = np.linalg.solve(inner, variance * rest)
@@ -337,8 +339,16 @@ class ErrorModel:
     def widths_with(self, g_sensitivity: float) -> np.ndarray:
         """Return the standard deviations of all errors with that of the g-sensitivity, shape (P,)."""
         sd = self.sd.copy()
-        sd[self.g_sensitive] = g_sensitivity
+        sd[self.g_sensitive] = self._widths_of_g(np.array([g_sensitivity]))[0]
         return sd
+
+    def _widths_of_g(self, g_sensitivities: np.ndarray) -> np.ndarray:
+        """Return the standard deviations of the terms of g with each of G sensitivities, shape (G, n).
+
+        A gyro that g hardly moves has no larger quadratic terms.
+        """
+        each = g_sensitivities[:, None]
+        return np.where(self.quadratic, np.minimum(each, G_SQUARED), each)
 
     def estimates(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors, those of mountings and tables in rad, shape (P,)."""
