@@ -1,6 +1,6 @@
-"""Counts and deviations of raw samples: standard errors in the place of deviations, and counts unlike those of sisters.
+"""Counts and deviations of raw samples: standard errors in the place of deviations, and runs unlike their sisters.
 
-Both change what is known of the noise by a factor, which a fit takes for scatter that something missing makes.
+They change what is known of the noise by a factor, which a fit takes for scatter that something missing makes.
 """
 
 import math
@@ -17,6 +17,9 @@ _FEWEST, _MORE_SAMPLES = 9.0, math.log(8.0)
 """Samples of a row from which its standard error can be distinguished from its deviation.  Logarithm of how many times
 as many samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the
 logger."""
+_SAME_UNIT = math.log(50.0)
+"""Logarithm of the ratio of the deviations of two runs from which they are in different units.  Convention: vibration
+makes them some tens of times as large."""
 _SISTERS, _ALIKE = 2, math.log(1.3)
 
 
@@ -27,7 +30,7 @@ def check_samples(runs: Sequence[Run], where: Sequence[str], channels: Sequence[
     ----------
     where : place of each run, for messages.
     """
-    return [*_standard_errors(runs, where, channels), *_counts(runs, where)]
+    return [*_standard_errors(runs, where, channels), *_deviations(runs, where, channels), *_counts(runs, where)]
 
 
 def without_counts(run: str, deviations: Sequence[str], where: str) -> list[Finding]:
@@ -74,6 +77,33 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
             "the standard deviation of the raw samples of the row",
             "multiply the columns '…_sd' by √samples, or correct 'noise' of the channels",
         )  # fmt: skip
+
+
+def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> Iterator[Finding]:
+    """Yield the runs whose deviations are in another unit than those of the others, which agree."""
+    sizes = np.full((len(runs), len(channels)), np.nan)
+    for k, run in enumerate(runs):
+        for n, sd in enumerate(run.sample_sd.T):
+            known = sd[np.isfinite(sd) & (sd > 0)]
+            sizes[k, n] = math.log(float(np.median(known))) if len(known) else np.nan
+    for k, (run, place) in enumerate(zip(runs, where, strict=True)):
+        apart: dict[str, float] = {}
+        for channel, own, column in zip(channels, sizes[k], np.delete(sizes, k, axis=0).T, strict=True):
+            others = column[np.isfinite(column)]
+            if len(others) >= _SISTERS and np.ptp(others) < _SAME_UNIT / 2 and abs(own - np.median(others)) > _SAME_UNIT:
+                apart[channel.name] = math.exp(own - float(np.median(others)))
+        if apart:
+            factor = math.exp(float(np.median(np.log([*apart.values()]))))
+            size, mend = (factor, "divide") if factor > 1 else (1 / factor, "multiply")
+            names = ", ".join(f"'{name}_sd'" for name in apart)
+            yield Finding(
+                "deviations_unlike", "warning", run.name,
+                f"the deviations of {', '.join(apart)} are {size:.3g} times as {'large' if factor > 1 else 'small'} as "
+                "in the other runs, as in another unit",
+                f"{place}, column '{next(iter(apart))}_sd'",
+                "the standard deviation of the raw samples of the row, in output units",
+                f"{mend} the columns {names} of run '{run.name}' by {size:.3g} if they are in another unit",
+            )  # fmt: skip
 
 
 def _counts(runs: Sequence[Run], where: Sequence[str]) -> Iterator[Finding]:

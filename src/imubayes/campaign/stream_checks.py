@@ -49,12 +49,13 @@ FINDINGS: dict[str, str] = {
     "temperature_value": "the outputs of a run belong to another temperature",
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
+    "outputs_exchanged": "the outputs of two runs are exchanged",
     "outputs_apart": "the outputs of a channel in a run do not belong to this channel",
     "output_offset": "the outputs of a channel are off by the same amount in all rows of a run, or in all runs",
     "rate_without_sign": "the rates of a run are recorded without their sign",
     "rates_exchanged": "the rates of rows of a run are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
-    "reference_unit": "the rates of a reference gyro have another sign or unit",
+    "reference_unit": "the rates of a reference gyro have another sign, unit or order",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
     "mountings_exchanged": "two mountings are exchanged",
@@ -77,6 +78,7 @@ FINDINGS: dict[str, str] = {
     "run_disagrees": "a run does not agree with the others under the model (`check --model`)",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "standard_errors": "deviations of raw samples are standard errors of their means",
+    "deviations_unlike": "the deviations of raw samples are in another unit than those of the other runs",
     "samples_missing": "standard deviations of raw samples are stated without the number of samples",
     "samples_unlike": "the number of samples is unlike that of the other runs",
     "not_settled": "an output does not become steady at a level of the stimulus",
@@ -97,7 +99,7 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit", "rate_impossible")
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
     "table_zero", "axis_zero", "axis_reversed", "axis_columns", "table_elevation", "table_reversed", "axes_exchanged",
-    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit",
+    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit", "outputs_exchanged",
 )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.axis_mistakes import AXES, recorded_column, with_column
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs, turns
+from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed, Mistake, Scope, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale, rate_factor
@@ -392,7 +392,9 @@ class RateFactor(Mistake):
     """
 
     kind: ClassVar[str] = "table_rate"
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
     estimated: ClassVar[bool] = True
+    least: ClassVar[float] = 0.005  # scale factors of a good unit repeat from run to run
     rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
     usual_within: ClassVar[float] = 0.02
@@ -412,6 +414,10 @@ class RateFactor(Mistake):
     def possible(self, size: float) -> bool:
         """Return whether the factor is within the range of those tried: at its end there is no estimate."""
         return abs(size) < self.sizes[-1]
+
+    def bar(self, campaign: Campaign) -> float:
+        """Return what other scale factors in a run would gain."""
+        return RIVALLED * len(campaign.of_kind("gyro"))
 
     def like(self, other: Mistake) -> bool:
         """Return whether another is the scale factor of one gyro in the run, alike if it alone sees the rate."""
