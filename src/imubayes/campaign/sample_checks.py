@@ -20,6 +20,7 @@ logger."""
 _SAME_UNIT = math.log(50.0)
 """Logarithm of the ratio of the deviations of two runs from which they are in different units.  Convention: vibration
 makes them some tens of times as large."""
+_DECADE = 0.1  # of a logarithm to base 10, within which a factor is a power of ten
 _SISTERS, _ALIKE = 2, math.log(1.3)
 
 
@@ -59,7 +60,8 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
     told: dict[str, list[float]] = {}
     places = list[str]()
     for run, place in zip(runs, where, strict=True):
-        for k, channel in enumerate(channels):
+        # Those of the poses of a log are computed.
+        for k, channel in enumerate(channels if run.tumble is None else ()):
             sd, good = run.sample_sd[:, k], np.isfinite(run.sample_sd[:, k]) & (run.samples >= _FEWEST)
             if not channel.noise or not good.any() or not np.median(sd[good]) > 0:
                 continue
@@ -93,16 +95,17 @@ def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Ch
             if len(others) >= _SISTERS and np.ptp(others) < _SAME_UNIT / 2 and abs(own - np.median(others)) > _SAME_UNIT:
                 apart[channel.name] = math.exp(own - float(np.median(others)))
         if apart:
-            factor = math.exp(float(np.median(np.log([*apart.values()]))))
+            exponent = float(np.median(np.log10([*apart.values()])))
+            factor = 10 ** (round(exponent) if abs(exponent - round(exponent)) < _DECADE else exponent)
             size, mend = (factor, "divide") if factor > 1 else (1 / factor, "multiply")
             names = ", ".join(f"'{name}_sd'" for name in apart)
             yield Finding(
                 "deviations_unlike", "warning", run.name,
-                f"the deviations of {', '.join(apart)} are {size:.3g} times as {'large' if factor > 1 else 'small'} as "
+                f"the deviations of {', '.join(apart)} are {size:.4g} times as {'large' if factor > 1 else 'small'} as "
                 "in the other runs, as in another unit",
                 f"{place}, column '{next(iter(apart))}_sd'",
                 "the standard deviation of the raw samples of the row, in output units",
-                f"{mend} the columns {names} of run '{run.name}' by {size:.3g} if they are in another unit",
+                f"{mend} the columns {names} of run '{run.name}' by {size:.4g} if they are in another unit",
             )  # fmt: skip
 
 
