@@ -17,7 +17,9 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
 )
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit, OutputsExchanged, SamplesFewer
 from imubayes.campaign.setup_gate.mounting_mistakes import (
+    InputAxisAngles,
     InputAxisWrong,
+    MountingAngles,
     MountingMislabelled,
     MountingsExchanged,
     MountingWrong,
@@ -52,7 +54,7 @@ MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
     TableElevation, TableAzimuth, ChannelsExchanged, KindsExchanged, TimeShift, MountingWrong, InputAxisWrong,
     AxisZero, AxisSense, AxisColumns, ReferenceUnit, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates,
-    RateFactor,
+    RateFactor, MountingAngles, InputAxisAngles,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
     RateWithoutSign, RatesExchanged, RatesMissing, OutputsExchanged, OffsetsMissing, ChannelOffset, ChannelApart, OtherUnit,

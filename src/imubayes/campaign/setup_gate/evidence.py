@@ -284,7 +284,7 @@ class ErrorModel:
         if place is None or self.centre is None:
             return np.eye(3)
         if place not in self.rotated:
-            self.rotated[place] = _rotation(self.centre[place : place + 3])
+            self.rotated[place] = rotation(self.centre[place : place + 3])
         return self.rotated[place]
 
     def _shared(self, views: Sequence[RunView]) -> np.ndarray:
@@ -368,7 +368,7 @@ class ErrorModel:
         return self.fit(terms, G_SENSITIVITIES[-1:]).misfit[..., 0]
 
 
-def _rotation(vector: np.ndarray) -> np.ndarray:
+def rotation(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of a rotation vector, rad (Rodrigues)."""
     cross, angle = cross_matrices(vector).T, float(np.linalg.norm(vector))
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
