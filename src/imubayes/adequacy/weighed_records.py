@@ -353,7 +353,9 @@ class _Weighing:
             beside = _beside(reversed_, -weighted, -response, width, np.array([-_SIGN]))
             found = self._linearly(wrong, beside)
             about.append(replace(found, size=found.size + _SIGN))
-        return max((each for each in about if wrong.possible(each.size)), key=lambda each: each.log_odds, default=about[0])
+        return max(
+            (each for each in about if wrong.possible(each.size)), key=lambda each: each.log_odds, default=about[0]
+        )
 
     def _reversed(self, wrong: WrongInput) -> LinearFit | None:
         """Return the fit as linearised, with the outputs concerned reversed; None if the nodes are not the same."""

@@ -269,9 +269,7 @@ def _explains_units(finding: Finding) -> bool:
     return like and finding.severity == "error"
 
 
-def _with_values(
-    findings: Sequence[Finding], found: Sequence[Finding]
-) -> tuple[tuple[Finding, ...], list[Finding]]:
+def _with_values(findings: Sequence[Finding], found: Sequence[Finding]) -> tuple[tuple[Finding, ...], list[Finding]]:
     """Return findings of impossible rates with the values that the outputs show, and what else the outputs show."""
     rows = {(each.run, each.record.quantity): each for each in found if each.record is not None and each.record.row}
     told, used = list[Finding](), list[Finding]()

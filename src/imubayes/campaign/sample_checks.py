@@ -10,6 +10,7 @@ import numpy as np
 
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Run
+from imubayes.foundations.covariates import recorded
 
 _SAME = math.log(1.5)
 """Logarithm of the ratio of two deviations up to which they are one: noise is stated to tens of per cent."""
@@ -82,17 +83,28 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
 
 
 def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> Iterator[Finding]:
-    """Yield the runs whose deviations are in another unit than those of the others, which agree."""
-    sizes = np.full((len(runs), len(channels)), np.nan)
+    """Yield the runs whose deviations at rest are in another unit than those of the others, which agree.
+
+    Where outputs are as many times as large, these are in another unit, and the set-up is judged by them.
+    """
+    sizes, levels = (np.full((len(runs), len(channels)), np.nan) for _ in range(2))
     for k, run in enumerate(runs):
-        for n, sd in enumerate(run.sample_sd.T):
-            known = sd[np.isfinite(sd) & (sd > 0)]
-            sizes[k, n] = math.log(float(np.median(known))) if len(known) else np.nan
+        still = _at_rest(run)
+        for n, channel in enumerate(channels):
+            known = still & np.isfinite(run.sample_sd[:, n]) & (run.sample_sd[:, n] > 0)
+            if known.any():
+                sizes[k, n] = math.log(float(np.median(run.sample_sd[known, n])))
+                levels[k, n] = float(np.max(np.abs(run.observed[known, n] - channel.offset)))
+    with np.errstate(divide="ignore"):
+        levels = np.log(levels)
     for k, (run, place) in enumerate(zip(runs, where, strict=True)):
         apart: dict[str, float] = {}
-        for channel, own, column in zip(channels, sizes[k], np.delete(sizes, k, axis=0).T, strict=True):
-            others = column[np.isfinite(column)]
-            if len(others) >= _SISTERS and np.ptp(others) < _SAME_UNIT / 2 and abs(own - np.median(others)) > _SAME_UNIT:
+        for n, channel in enumerate(channels):
+            own, others = sizes[k, n], np.delete(sizes[:, n], k)
+            others = others[np.isfinite(others)]
+            alike = len(others) >= _SISTERS and np.ptp(others) < _SAME_UNIT / 2
+            moved = abs(levels[k, n] - np.nanmedian(np.delete(levels[:, n], k))) > _SAME_UNIT if alike else False
+            if alike and not moved and abs(own - np.median(others)) > _SAME_UNIT:
                 apart[channel.name] = math.exp(own - float(np.median(others)))
         if apart:
             exponent = float(np.median(np.log10([*apart.values()])))
@@ -107,6 +119,12 @@ def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Ch
                 "the standard deviation of the raw samples of the row, in output units",
                 f"{mend} the columns {names} of run '{run.name}' by {size:.4g} if they are in another unit",
             )  # fmt: skip
+
+
+def _at_rest(run: Run) -> np.ndarray:
+    """Return whether nothing turns in a row, shape (R,)."""
+    rates = [run.covariates[each.name] for each in recorded() if each.si == "rad/s" and each.name in run.covariates]
+    return np.all([each == 0 for each in rates], axis=0) if rates else np.ones(run.rows, dtype=bool)
 
 
 def _counts(runs: Sequence[Run], where: Sequence[str]) -> Iterator[Finding]:

@@ -407,7 +407,7 @@ def _findings(
     """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
     means = static.pose_means(recording.force, detection.poses)
     found, shares = wrong_channel_unit(means, gravity, channels, file), []
-    if found:
+    if found and len(found) < sum(channel.kind == "accelerometer" for channel in channels):
         return found
     found = wrong_acceleration_unit(means, gravity, file)
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):

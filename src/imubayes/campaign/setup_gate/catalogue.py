@@ -57,6 +57,6 @@ MISTAKES: tuple[type[Mistake], ...] = (
     RateFactor, MountingAngles, InputAxisAngles,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
-    RateWithoutSign, RatesExchanged, RatesMissing, OutputsExchanged, OffsetsMissing, ChannelOffset, ChannelApart, OtherUnit,
-    SamplesFewer,
+    RateWithoutSign, RatesExchanged, RatesMissing, OutputsExchanged, OffsetsMissing, ChannelOffset, ChannelApart,
+    OtherUnit, SamplesFewer,
 )  # fmt: skip

@@ -240,7 +240,8 @@ def _columns(view: RunView, row: int, wrong: int) -> Iterator[str]:
         # What is wrong in most rows that turn is wrong in the run: its sense, its unit, or a scale factor.
         if _moved(rate, row) > 2 * wrong:
             yield f"{axis}_rate"
-    yield from view.temperatures
+    # A row that is named by a direction may be in another one, which looks like another temperature.
+    yield from view.temperatures if view.attitude is None else ()
 
 
 def _agreeing_records(
