@@ -164,7 +164,8 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
     meaning = factors[factor] if _is_factor(slope, factor) else ""
     if meaning:
         name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
-        what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"
+        sign = ", and the sign reversed" if slope < 0 else ""
+        what = f"channel '{channel.name}' responds with {slope:.4g} times its nominal scale factor: {meaning}{sign}?"
         remedy = "correct 'scale' or 'per' of the channel, or convert the column"
         if rate_column := _rate_unit(slope) if channel.kind == "gyro" else "":
             remedy += f"; if 'table_rate_deg_s' is in {rate_column}, convert it to deg/s"

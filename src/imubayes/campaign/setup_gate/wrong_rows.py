@@ -158,7 +158,7 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
         right = max((size for each, size in sizes.items() if each not in wrong), default=0.0)
         if 0 < len(wrong) <= MOST_ROWS and min(wrong.values()) >= STANDS_OUT * right:
             place, row = max(wrong, key=lambda each: wrong[each])
-            several = sum(each[0] == place for each in wrong)
+            several = int(np.sum(apart[place] >= LEAST_SD))
             found = WrongRow(views[place].name, row, "", 0.0, 0.0, 0.0, wrong[place, row])
             return _likeliest(model, views[place], place, found, several, judged)
     return None
@@ -200,14 +200,21 @@ def _likeliest(
 
 
 def _is_of_rows(model: ErrorModel, view: RunView, channel: int, row: int, wrong: int) -> bool:
-    """Whether an output has a size in more rows than are wrong: else the whole run is."""
-    size = np.nan_to_num(np.abs(view.observed[:, channel] - model.channels[model.places.index(channel)].offset))
-    return bool(np.isfinite(view.observed[row, channel]) and _moved(size, row) > 2 * wrong)
+    """Whether an output has a size, of its nominal one, in more rows than are wrong: else the whole run is."""
+    at = model.places.index(channel)
+    size = np.nan_to_num(np.abs(view.observed[:, channel] - model.channels[at].offset))
+    nominal = float(np.abs(model.seen(view).along[at]).max()) * abs(model.channels[at].scale_si)
+    return bool(np.isfinite(view.observed[row, channel]) and _moved(size, row, nominal) > 2 * wrong)
 
 
-def _moved(values: np.ndarray, row: int) -> int:
-    """Return in how many rows a quantity has a size, beside the largest of the rows but one, which may be wrong."""
-    largest = float(np.delete(values, row).max(initial=0.0))
+def _moved(values: np.ndarray, row: int, reach: float = 0.0) -> int:
+    """Return in how many rows a quantity has a size, beside the largest of the rows but one, which may be wrong.
+
+    Parameters
+    ----------
+    reach : that the largest has at least.
+    """
+    largest = float(np.delete(values, row).max(initial=reach))
     return int(np.sum(values > LEAST_RATE * largest)) if largest > 0 else 0
 
 
