@@ -41,8 +41,8 @@ LEAST_OUTPUT = 1e-3
 _OPEN, _RIVAL = 12.0, 10.0
 """Gain that an open value needs over a reversed sign, and within which of the best a record is a rival."""
 MOST_ROWS = 3
-_MOST_LEFT_OUT = 6
-_STEPS, _REWEIGHED = 5, 4
+_MOST_LEFT_OUT = 4
+_STEPS, _REWEIGHED = 5, 2
 _STARTS = np.linspace(-np.pi / 2, np.pi, 4)
 _NORMAL_MAD = 0.6745
 _STEP = 1e-4
@@ -402,6 +402,7 @@ class RateFactor(Mistake):
     kind: ClassVar[str] = "table_rate"
     concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
     estimated: ClassVar[bool] = True
+    of_doubted_runs: ClassVar[int] = 2
     least: ClassVar[float] = 0.005  # scale factors of a good unit repeat from run to run
     rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
