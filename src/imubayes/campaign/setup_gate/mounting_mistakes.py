@@ -110,8 +110,12 @@ class MountingAngles(Mistake):
 
     matrix: np.ndarray
     kind: ClassVar[str] = "mounting_wrong"
-    variant: ClassVar[str] = "angles"
     rarity: ClassVar[float] = 30.0  # three angles are chosen by the outputs, among hundreds of each
+
+    @property
+    def variant(self) -> str:
+        """Any angles."""
+        return "angles"
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
