@@ -87,6 +87,16 @@ def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Ch
 
     Where outputs are as many times as large, these are in another unit, and the set-up is judged by them.
     """
+    sizes, levels = _sizes_at_rest(runs, channels)
+    for k, (run, place) in enumerate(zip(runs, where, strict=True)):
+        ratios = [_unlike(sizes[:, n], levels[:, n], k) for n in range(len(channels))]
+        apart = {channel.name: ratio for channel, ratio in zip(channels, ratios, strict=True) if ratio}
+        if apart:
+            yield _of_deviations(run, apart, place)
+
+
+def _sizes_at_rest(runs: Sequence[Run], channels: Sequence[Channel]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the logarithms of deviations, and of the largest outputs about their offset, each (runs, channels)."""
     sizes, levels = (np.full((len(runs), len(channels)), np.nan) for _ in range(2))
     for k, run in enumerate(runs):
         still = _at_rest(run)
@@ -96,29 +106,34 @@ def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Ch
                 sizes[k, n] = math.log(float(np.median(run.sample_sd[known, n])))
                 levels[k, n] = float(np.max(np.abs(run.observed[known, n] - channel.offset)))
     with np.errstate(divide="ignore"):
-        levels = np.log(levels)
-    for k, (run, place) in enumerate(zip(runs, where, strict=True)):
-        apart: dict[str, float] = {}
-        for n, channel in enumerate(channels):
-            own, others = sizes[k, n], np.delete(sizes[:, n], k)
-            others = others[np.isfinite(others)]
-            alike = len(others) >= _SISTERS and np.ptp(others) < _SAME_UNIT / 2
-            moved = abs(levels[k, n] - np.nanmedian(np.delete(levels[:, n], k))) > _SAME_UNIT if alike else False
-            if alike and not moved and abs(own - np.median(others)) > _SAME_UNIT:
-                apart[channel.name] = math.exp(own - float(np.median(others)))
-        if apart:
-            exponent = float(np.median(np.log10([*apart.values()])))
-            factor = 10 ** (round(exponent) if abs(exponent - round(exponent)) < _DECADE else exponent)
-            size, mend = (factor, "divide") if factor > 1 else (1 / factor, "multiply")
-            names = ", ".join(f"'{name}_sd'" for name in apart)
-            yield Finding(
-                "deviations_unlike", "warning", run.name,
-                f"the deviations of {', '.join(apart)} are {size:.4g} times as {'large' if factor > 1 else 'small'} as "
-                "in the other runs, as in another unit",
-                f"{place}, column '{next(iter(apart))}_sd'",
-                "the standard deviation of the raw samples of the row, in output units",
-                f"{mend} the columns {names} of run '{run.name}' by {size:.4g} if they are in another unit",
-            )  # fmt: skip
+        return sizes, np.log(levels)
+
+
+def _unlike(sizes: np.ndarray, levels: np.ndarray, run: int) -> float:
+    """Return the logarithm of how many times as large the deviations of a run are; 0 if they are in the same unit."""
+    others = np.delete(sizes, run)
+    others = others[np.isfinite(others)]
+    if len(others) < _SISTERS or np.ptp(others) > _SAME_UNIT / 2:
+        return 0.0
+    apart = float(sizes[run] - np.median(others))
+    moved = abs(levels[run] - np.nanmedian(np.delete(levels, run))) > _SAME_UNIT
+    return apart if abs(apart) > _SAME_UNIT and not moved else 0.0
+
+
+def _of_deviations(run: Run, apart: dict[str, float], place: str) -> Finding:
+    """Return that deviations are in another unit, with the logarithms of how many times as large they are."""
+    exponent = float(np.median([*apart.values()])) / math.log(10)
+    factor = 10 ** (round(exponent) if abs(exponent - round(exponent)) < _DECADE else exponent)
+    size, mend = (factor, "divide") if factor > 1 else (1 / factor, "multiply")
+    names = ", ".join(f"'{name}_sd'" for name in apart)
+    return Finding(
+        "deviations_unlike", "warning", run.name,
+        f"the deviations of {', '.join(apart)} are {size:.4g} times as {'large' if factor > 1 else 'small'} as in the "
+        "other runs, as in another unit",
+        f"{place}, column '{next(iter(apart))}_sd'",
+        "the standard deviation of the raw samples of the row, in output units",
+        f"{mend} the columns {names} of run '{run.name}' by {size:.4g} if they are in another unit",
+    )  # fmt: skip
 
 
 def _at_rest(run: Run) -> np.ndarray:

@@ -102,10 +102,14 @@ class ErrorModel:
         self.size = start + 3 * len(self.tables)
         self.sd = self._standard_deviations(campaign)
         self.thermal = np.add.outer(self.own * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
+        self.g_sensitive, self.quadratic = self._terms_of_g()
+
+    def _terms_of_g(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the places of the terms of g of the gyros, and which of them are quadratic, each (n,)."""
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
-        of_g = [*range(7, 10), *range(_OWN, self.own)]  # linear and quadratic
-        self.g_sensitive = np.array([self.own * k + each for k in gyro for each in of_g], dtype=int)
-        self.quadratic = np.array([each >= _OWN for _ in gyro for each in of_g], dtype=bool)
+        each = np.array([*range(7, 10), *range(_OWN, self.own)])
+        places = np.add.outer(self.own * np.array(gyro, dtype=int), each)
+        return places.ravel(), np.broadcast_to(each >= _OWN, places.shape).ravel()
 
     def as_steady_as(self, steadiness: Steadiness) -> "ErrorModel":
         """Return the model of a unit of another steadiness."""

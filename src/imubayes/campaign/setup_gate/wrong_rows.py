@@ -135,14 +135,10 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
     Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
     """
     recorded, turning = model.seen_of(views), [view.largest_rate() > 0 for view in views]
-    fitted, out = [_no_more_than_it_moves(seen) for seen in recorded], list[tuple[int, int]]()
-    for _ in range(_REWEIGHED):
-        terms = [model.terms_of(seen) for seen in fitted]
-        judged = _judged(model, terms, fitted, recorded, turning)
-        if float(judged.apart[_farthest(judged.apart, out)[0]].max()) < LEAST_SD / 2:
-            return None
-        fitted = [_no_surer(seen, left) for seen, left in zip(recorded, judged.left, strict=True)]
-    terms = [model.terms_of(seen) for seen in fitted]
+    fitted = _robust(model, recorded, turning)
+    if fitted is None:
+        return None
+    out, terms = list[tuple[int, int]](), [model.terms_of(seen) for seen in fitted]
     judged = _judged(model, terms, fitted, recorded, turning)
     while len(out) < _MOST_LEFT_OUT:
         place, row = _farthest(judged.apart, out)
@@ -171,6 +167,17 @@ def _no_more_than_it_moves(seen: Seen) -> Seen:
     """
     apart = np.where(seen.there, seen.error - _medians(np.where(seen.there, seen.error, np.nan)), 0.0)
     return replace(seen, square=np.maximum(seen.square, apart**2))
+
+
+def _robust(model: ErrorModel, recorded: Sequence[Seen], turning: Sequence[np.ndarray]) -> list[Seen] | None:
+    """Return the rows with weights that no row far off draws to itself; None if all are near their predictions."""
+    fitted = [_no_more_than_it_moves(seen) for seen in recorded]
+    for _ in range(_REWEIGHED):
+        judged = _judged(model, [model.terms_of(seen) for seen in fitted], fitted, recorded, turning)
+        if max(float(each.max(initial=0.0)) for each in judged.apart) < LEAST_SD / 2:
+            return None
+        fitted = [_no_surer(seen, left) for seen, left in zip(recorded, judged.left, strict=True)]
+    return fitted
 
 
 def _no_surer(seen: Seen, left: np.ndarray) -> Seen:
@@ -271,13 +278,7 @@ def _agreeing_records(
         return []
     angle, temperature = wrong.column.endswith("angle"), wrong.column in view.temperatures
     step = LEAST_OUTPUT * abs(recorded - offset) if of_output else _STEP
-    if of_output:
-        least = step
-    elif temperature:
-        least = LEAST_COURSE
-    else:
-        others = np.delete(np.abs(recorded_column(view, wrong.column)), wrong.row)
-        least = LEAST_ANGLE if angle else LEAST_RATE * float(others.max())
+    least = step if of_output else _least(view, wrong)
     # Outputs go around a circle with the angle: a search that starts a quarter of a turn away may end beside it.
     starts = recorded + (_STARTS if angle else np.zeros(1))
     left, value, sd = min(_agreeing(error, at, step) for at in starts) if step > 0 else (np.inf, recorded, 0.0)
@@ -293,6 +294,15 @@ def _agreeing_records(
         if abs(each.agreeing - recorded) > least and rest <= max(LEFT * size, 3.0)
     ]  # fmt: skip
     return [min(in_line, key=lambda each: each[0])] if in_line else []
+
+
+def _least(view: RunView, wrong: WrongRow) -> float:
+    """Return the least error of a column in a row that is told."""
+    if wrong.column in view.temperatures:
+        return LEAST_COURSE
+    if wrong.column.endswith("angle"):
+        return float(LEAST_ANGLE)
+    return LEAST_RATE * float(np.delete(np.abs(recorded_column(view, wrong.column)), wrong.row).max())
 
 
 def _agreeing(error: Callable[[float], np.ndarray], value: float, step: float) -> tuple[float, float, float]:
