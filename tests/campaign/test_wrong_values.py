@@ -147,5 +147,5 @@ def test_no_row_of_a_valid_campaign_is_named(tmp_path: Path) -> None:
 def test_without_the_derivative_no_row_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The planted fault of these tests."""
     mistyped(tmp_path / "campaign", HEADS[0])
-    monkeypatch.setattr(rows, "_columns", lambda view, wrong: iter(()))
+    monkeypatch.setattr(rows, "_columns", lambda view, row, wrong: iter(()))
     assert "row_disagrees" not in {each.name for each in inspect_campaign(tmp_path / "campaign").findings}

@@ -52,6 +52,8 @@ _DISAGREES = math.log(0.005)
 """Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
 _TOLD, NEAR = 10.0, 3.0
 """Log odds from which a wrong record is reported, and within which it is not distinguished from the most probable."""
+_LEFT = 1e-3
+"""Share of the worst ratio of χ² to degrees of freedom that a wrong record may leave of a fit that failed."""
 _PRIOR_ODDS = math.log(0.05)
 """Of a wrong record in the campaign, shared by those that are weighed.  Convention, as in a diagnosis."""
 
@@ -66,6 +68,7 @@ class WeighedRecord:
     z : the parameters beside it, (P,).
     log_odds : natural logarithm of the odds against the record as it is.
     explains : whether with it the runs agree with one another at the noise known beforehand.
+    left : largest ratio of χ² to degrees of freedom of a channel with it.
     """
 
     wrong: WrongInput
@@ -74,6 +77,7 @@ class WeighedRecord:
     z: np.ndarray
     log_odds: float
     explains: bool
+    left: float
 
 
 def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
@@ -81,7 +85,7 @@ def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
 
     Empty if the runs agree with one another.
     """
-    return _weighed(_Weighing(fitted)) if fitted.optimised else ()
+    return _weighed(_Weighing(fitted))
 
 
 def _weighed(weighing: "_Weighing") -> tuple[WeighedRecord, ...]:
@@ -114,11 +118,9 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     the most probable is reported, with what the runs cannot distinguish from it; else the runs without which the others
     agree with one another.  If they do not, something is missing in the model and no run is to blame.
     """
-    if not fitted.optimised:
-        return ()
     weighing = _Weighing(fitted)
     weighed = _weighed(weighing)
-    if not weighed or weighed[0].log_odds < _TOLD or not weighed[0].explains:
+    if not weighed or weighed[0].log_odds < _TOLD or not weighing.explained_by(weighed[0]):
         return runs_apart(fitted, weighing.stated, weighing.disagreeing)
     campaign, best = fitted.model.campaign, weighed[0]
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
@@ -198,14 +200,28 @@ def _outputs(campaign: Campaign, wrong: WrongInput) -> str:
 
 
 class _Weighing:
-    """The evidence of the campaign of a fit, as recorded and corrected."""
+    """The evidence of the campaign of a fit, as recorded and corrected.
+
+    Where a fit failed its parameters say nothing: the model is linear about the centres of the priors instead.
+    """
 
     def __init__(self, fitted: Fit):
+        self.optimised = fitted.optimised
+        fitted = fitted if fitted.optimised else replace(fitted, z=np.zeros(len(fitted.z)))
         self.fitted, self.model, self.h = fitted, fitted.model, known_before(fitted)
         self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
         self.disagreeing = disagreeing_runs(self.stated)
-        self.as_recorded = _evidence(self.stated)[1]
+        whole, self.as_recorded = _evidence(self.stated)
+        self.worst = _worst(whole)
         self.largest = largest_scatter(fitted.model)
+
+    def explained_by(self, found: WeighedRecord) -> bool:
+        """Return whether all runs agree with a record corrected.
+
+        A fit that failed is at values that no unit has, whatever the model lacks: there the record explains what it
+        takes away nearly all of.
+        """
+        return found.explains or (not self.optimised and found.left < _LEFT * self.worst)
 
     def _noise(self, entries: np.ndarray) -> np.ndarray:
         """Return the noise of entries as known beforehand, output units, but for what their run shares."""
@@ -271,6 +287,7 @@ class _Weighing:
             z + fit.shift[:count],
             evidence - self.as_recorded,
             agree(fit, self.largest),
+            _worst(fit),
         )
 
     def _of_other_unit(self, wrong: WrongInput) -> WeighedRecord:
@@ -294,9 +311,8 @@ class _Weighing:
         sd = math.sqrt(2 / len(here))
         evidence += 0.5 * len(here) * math.log(ratio) + math.log(min(sd / _LOG_COUNTS, 1.0))
         size = np.array([ratio])
-        return WeighedRecord(
-            wrong, size, sd * size, self.fitted.z + fit.shift, evidence - self.as_recorded, agree(fit, self.largest)
-        )
+        odds, agrees = evidence - self.as_recorded, agree(fit, self.largest)
+        return WeighedRecord(wrong, size, sd * size, self.fitted.z + fit.shift, odds, agrees, _worst(fit))
 
     def _alike_in_all_rows(self, here: np.ndarray, fit: WeightedFit) -> bool:
         """Whether the rows of a run scatter about their mean as white noise does, and on all channels alike."""
@@ -319,7 +335,10 @@ class _Weighing:
         return fit, evidence, float(left @ (linear.pulled[here] - linear.weighted[here] @ fit.shift))
 
     def _of_one_output(self, wrong: WrongInput) -> WeighedRecord:
-        """Return what is wrong with one channel in a run, to which its outputs respond linearly."""
+        """Return what is wrong with one channel in a run, to which its outputs respond linearly.
+
+        A reversed sign is far from the record: the outputs are reversed, and the factor is estimated from there.
+        """
         campaign = self.model.campaign
         response = Predictions(self.model, np.asarray(self.fitted.z)).response(wrong, campaign)
         assert response is not None  # outputs always have one
@@ -328,14 +347,37 @@ class _Weighing:
             known = np.concatenate([run.observed[:, wrong.channel] for run in campaign.runs])
             width *= float(np.nanmax(np.abs(known - campaign.channels[wrong.channel or 0].offset))) or 1.0
         weighted = divide(self.model.problem, self.h, response)
-        return self._linearly(wrong, _beside(self.stated, weighted, response, width, np.zeros(1)))
+        about = [self._linearly(wrong, _beside(self.stated, weighted, response, width, np.zeros(1)))]
+        if wrong.form == "output_factor" and (reversed_ := self._reversed(wrong)) is not None:
+            # Outputs respond to a factor by what is predicted over the factor about which they stand.
+            beside = _beside(reversed_, -weighted, -response, width, np.array([-_SIGN]))
+            found = self._linearly(wrong, beside)
+            about.append(replace(found, size=found.size + _SIGN))
+        return max(
+            (each for each in about if wrong.possible(each.size)), key=lambda each: each.log_odds, default=about[0]
+        )
+
+    def _reversed(self, wrong: WrongInput) -> LinearFit | None:
+        """Return the fit as linearised, with the outputs concerned reversed; None if the nodes are not the same."""
+        problem = problem_of(self.model, wrong.corrected(self.model.campaign, np.array([_SIGN])))
+        if problem is None:
+            return None
+        moved = np.asarray(problem.observations.value) - np.asarray(self.model.problem.observations.value)
+        pulled = self.stated.pulled + divide(self.model.problem, self.h, moved[:, None])[:, 0]
+        return replace(self.stated, misfit=self.stated.misfit + moved, pulled=pulled)
 
     def _linearly(self, wrong: WrongInput, linear: LinearFit) -> WeighedRecord:
         fit, evidence = _evidence(linear)
         count = len(self.stated.precision)
         z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
         sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
-        return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded, agree(fit, self.largest))
+        odds, agrees = evidence - self.as_recorded, agree(fit, self.largest)
+        return WeighedRecord(wrong, size, sd, z, odds, agrees, _worst(fit))
+
+
+def _worst(fit: WeightedFit) -> float:
+    """Return the largest ratio of χ² to degrees of freedom of a channel."""
+    return float(fit.noise_ratios.max())
 
 
 def _noisier(linear: LinearFit, here: np.ndarray, ratio: float) -> LinearFit:

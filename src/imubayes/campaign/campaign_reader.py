@@ -270,9 +270,22 @@ def _explains_units(finding: Finding) -> bool:
     return like and finding.severity == "error"
 
 
+def _with_values(findings: Sequence[Finding], found: Sequence[Finding]) -> tuple[tuple[Finding, ...], list[Finding]]:
+    """Return findings of impossible rates with the values that the outputs show, and what else the outputs show."""
+    rows = {(each.run, each.record.quantity): each for each in found if each.record is not None and each.record.row}
+    told, used = list[Finding](), list[Finding]()
+    for each in findings:
+        column = each.where.rsplit("'", 2)[-2] if each.name == "rate_impossible" else ""
+        if row := rows.get((each.run, column)):
+            each, used = replace(each, what=f"{each.what}; {row.what}", remedy=row.remedy), [*used, row]
+        told.append(each)
+    return tuple(told), [each for each in found if all(each is not other for other in used)]
+
+
 def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], places: Places) -> Inspection:
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
     found = setup_findings(campaign, places, tuple(entry.accepted))
+    findings, found = _with_values(findings, found)
     # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]

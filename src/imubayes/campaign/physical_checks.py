@@ -31,6 +31,8 @@ LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, ra
 MOST_SKEW = 0.05  # s, the largest delay that the effect `time_skew` is for
 LEAST_OFFSET = 0.5  # s; a table follows its command with less
 LEVEL_SHARE = 0.25  # of a level; a larger offset leaves no steady stretch of it
+LEAST_ALONG = 0.05  # of the largest input of a kind in a run, several times what a misalignment makes across it
+REVERSED = 0.3  # least share of the nominal slope that a reversed sign leaves
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _DECIMAL = "a decimal place of the scale"
 _RATE_FACTORS = {
@@ -132,13 +134,14 @@ def check_rows(
     if radians := _angle_in_radians(run, table, where):
         return [*found, radians]
     slopes: list[tuple[Channel, float]] = []
-    for index, channel in enumerate(channels):
-        stimulus = procedure.nominal_input(run, channel, site, table, mounting)
+    stimuli = [procedure.nominal_input(run, channel, site, table, mounting) for channel in channels]
+    reach = _reach(channels, stimuli)
+    for index, (channel, stimulus) in enumerate(zip(channels, stimuli, strict=True)):
         if stimulus is None:
             continue
         measured = _measured(run, index, channel)
         found += _stuck(run, channel, stimulus, run.observed[:, index], where)
-        slope = _ratio(stimulus, measured) if procedure.injected else _slope(channel, stimulus, measured)
+        slope = _ratio(stimulus, measured) if procedure.injected else _slope(channel, stimulus, measured, reach)
         if procedure.injected and _is_factor(slope, 1000.0):
             found.append(_current_finding(run.name, channel, slope, where))
         else:
@@ -161,12 +164,13 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
     meaning = factors[factor] if _is_factor(slope, factor) else ""
     if meaning:
         name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
-        what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"
+        sign = ", and the sign reversed" if slope < 0 else ""
+        what = f"channel '{channel.name}' responds with {slope:.4g} times its nominal scale factor: {meaning}{sign}?"
         remedy = "correct 'scale' or 'per' of the channel, or convert the column"
         if rate_column := _rate_unit(slope) if channel.kind == "gyro" else "":
             remedy += f"; if 'table_rate_deg_s' is in {rate_column}, convert it to deg/s"
         return [Finding(name, "error", run, what, place, expected, remedy)]
-    if slope < 0:
+    if slope < -REVERSED:
         what = f"channel '{channel.name}' responds to its nominal input with reversed sign (slope {slope:.3g})"
         remedy = "check input_axis, the mounting and the sign of the rate or of the current"
         return [Finding("sign_reversed", "warning", run, what, place, expected, remedy)]
@@ -208,11 +212,23 @@ def _judge(run: Run, slopes: Sequence[tuple[Channel, float]], where: str, rate_r
     return found
 
 
-def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray) -> float:
-    """Return the slope of the measured on the nominal input; NaN if the rows do not determine it."""
+def _reach(channels: Sequence[Channel], stimuli: Sequence[np.ndarray | None]) -> dict[str, float]:
+    """Return the largest span of the inputs of the channels of each kind in a run, rad/s or m/s²."""
+    found: dict[str, float] = {}
+    for channel, stimulus in zip(channels, stimuli, strict=True):
+        known = stimulus[np.isfinite(stimulus)] if stimulus is not None else np.zeros(0)
+        found[channel.kind] = max(found.get(channel.kind, 0.0), float(np.ptp(known)) if len(known) else 0.0)
+    return found
+
+
+def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray, reach: dict[str, float]) -> float:
+    """Return the slope of the measured on the nominal input; NaN if the rows do not determine it.
+
+    An input across that of the others is that of their misalignments as well.
+    """
     good = np.isfinite(stimulus) & np.isfinite(measured)
     x, y = stimulus[good], measured[good]
-    if len(x) >= 3 and np.ptp(x) > LEAST_SPREAD[channel.kind]:
+    if len(x) >= 3 and np.ptp(x) > max(LEAST_SPREAD[channel.kind], LEAST_ALONG * reach[channel.kind]):
         dx, dy = x - x.mean(), y - y.mean()
         slope = float(dx @ dy / (dx @ dx))
         return slope if slope * float(dx @ dy) > FOLLOWS * float(dy @ dy) else math.nan

@@ -187,13 +187,8 @@ class Loaded:
     findings: list[Finding] = field(default_factory=list)
 
     @property
-    def failed(self) -> bool:
-        """Whether an issue or error makes the campaign unusable."""
-        return bool(self.issues) or any(finding.severity == "error" for finding in self.findings)
-
-    @property
     def readable(self) -> bool:
-        """Whether nothing but a wrong unit is wrong: all runs together show what made it look like one."""
+        """Whether nothing but a unit or a rate is wrong: all runs together show the right one."""
         wrong = {finding.name for finding in self.findings if finding.severity == "error"}
         return not self.issues and wrong <= {*UNIT_FINDINGS}
 
@@ -238,15 +233,15 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         loaded.findings += without_counts(entry.name, [n for n in source.layout.numbers if n.endswith("_sd")], where)
     if survey.rows == 0:
         loaded.findings.append(_empty(entry, where, "the table has a header and no rows"))
-    if loaded.failed or equipment is None:
+    if not loaded.readable or equipment is None:
         return
     run, found = _rows_of(source, entry, equipment, survey)
     loaded.findings += found
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
-    elif not loaded.failed:
+    elif loaded.readable:
         loaded.findings += unfounded_uncertainties(entry, run, where)
-    if not loaded.failed:
+    if loaded.readable:
         loaded.findings += unused_columns(source.layout, PROCEDURES[entry.procedure], entry.name, where)
         loaded.run = run
 

@@ -1,6 +1,6 @@
-"""Counts and deviations of raw samples: standard errors in the place of deviations, and counts unlike those of sisters.
+"""Counts and deviations of raw samples: standard errors in the place of deviations, and runs unlike their sisters.
 
-Both change what is known of the noise by a factor, which a fit takes for scatter that something missing makes.
+They change what is known of the noise by a factor, which a fit takes for scatter that something missing makes.
 """
 
 import math
@@ -10,6 +10,7 @@ import numpy as np
 
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Run
+from imubayes.foundations.covariates import recorded
 
 _SAME = math.log(1.5)
 """Logarithm of the ratio of two deviations up to which they are one: noise is stated to tens of per cent."""
@@ -17,6 +18,10 @@ _FEWEST, _MORE_SAMPLES = 9.0, math.log(8.0)
 """Samples of a row from which its standard error can be distinguished from its deviation.  Logarithm of how many times
 as many samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the
 logger."""
+_SAME_UNIT = math.log(50.0)
+"""Logarithm of the ratio of the deviations of two runs from which they are in different units.  Convention: vibration
+makes them some tens of times as large."""
+_DECADE = 0.1  # of a logarithm to base 10, within which a factor is a power of ten
 _SISTERS, _ALIKE = 2, math.log(1.3)
 
 
@@ -27,7 +32,7 @@ def check_samples(runs: Sequence[Run], where: Sequence[str], channels: Sequence[
     ----------
     where : place of each run, for messages.
     """
-    return [*_standard_errors(runs, where, channels), *_counts(runs, where)]
+    return [*_standard_errors(runs, where, channels), *_deviations(runs, where, channels), *_counts(runs, where)]
 
 
 def without_counts(run: str, deviations: Sequence[str], where: str) -> list[Finding]:
@@ -56,7 +61,8 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
     told: dict[str, list[float]] = {}
     places = list[str]()
     for run, place in zip(runs, where, strict=True):
-        for k, channel in enumerate(channels):
+        # Those of the poses of a log are computed.
+        for k, channel in enumerate(channels if run.tumble is None else ()):
             sd, good = run.sample_sd[:, k], np.isfinite(run.sample_sd[:, k]) & (run.samples >= _FEWEST)
             if not channel.noise or not good.any() or not np.median(sd[good]) > 0:
                 continue
@@ -74,6 +80,66 @@ def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequen
             "the standard deviation of the raw samples of the row",
             "multiply the columns '…_sd' by √samples, or correct 'noise' of the channels",
         )  # fmt: skip
+
+
+def _deviations(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> Iterator[Finding]:
+    """Yield the runs whose deviations at rest are in another unit than those of the others, which agree.
+
+    Where outputs are as many times as large, these are in another unit, and the set-up is judged by them.
+    """
+    sizes, levels = _sizes_at_rest(runs, channels)
+    for k, (run, place) in enumerate(zip(runs, where, strict=True)):
+        ratios = [_unlike(sizes[:, n], levels[:, n], k) for n in range(len(channels))]
+        apart = {channel.name: ratio for channel, ratio in zip(channels, ratios, strict=True) if ratio}
+        if apart:
+            yield _of_deviations(run, apart, place)
+
+
+def _sizes_at_rest(runs: Sequence[Run], channels: Sequence[Channel]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the logarithms of deviations, and of the largest outputs about their offset, each (runs, channels)."""
+    sizes, levels = (np.full((len(runs), len(channels)), np.nan) for _ in range(2))
+    for k, run in enumerate(runs):
+        still = _at_rest(run)
+        for n, channel in enumerate(channels):
+            known = still & np.isfinite(run.sample_sd[:, n]) & (run.sample_sd[:, n] > 0)
+            if known.any():
+                sizes[k, n] = math.log(float(np.median(run.sample_sd[known, n])))
+                levels[k, n] = float(np.max(np.abs(run.observed[known, n] - channel.offset)))
+    with np.errstate(divide="ignore"):
+        return sizes, np.log(levels)
+
+
+def _unlike(sizes: np.ndarray, levels: np.ndarray, run: int) -> float:
+    """Return the logarithm of how many times as large the deviations of a run are; 0 if they are in the same unit."""
+    others = np.delete(sizes, run)
+    others = others[np.isfinite(others)]
+    if len(others) < _SISTERS or np.ptp(others) > _SAME_UNIT / 2:
+        return 0.0
+    apart = float(sizes[run] - np.median(others))
+    moved = abs(levels[run] - np.nanmedian(np.delete(levels, run))) > _SAME_UNIT
+    return apart if abs(apart) > _SAME_UNIT and not moved else 0.0
+
+
+def _of_deviations(run: Run, apart: dict[str, float], place: str) -> Finding:
+    """Return that deviations are in another unit, with the logarithms of how many times as large they are."""
+    exponent = float(np.median([*apart.values()])) / math.log(10)
+    factor = 10 ** (round(exponent) if abs(exponent - round(exponent)) < _DECADE else exponent)
+    size, mend = (factor, "divide") if factor > 1 else (1 / factor, "multiply")
+    names = ", ".join(f"'{name}_sd'" for name in apart)
+    return Finding(
+        "deviations_unlike", "warning", run.name,
+        f"the deviations of {', '.join(apart)} are {size:.4g} times as {'large' if factor > 1 else 'small'} as in the "
+        "other runs, as in another unit",
+        f"{place}, column '{next(iter(apart))}_sd'",
+        "the standard deviation of the raw samples of the row, in output units",
+        f"{mend} the columns {names} of run '{run.name}' by {size:.4g} if they are in another unit",
+    )  # fmt: skip
+
+
+def _at_rest(run: Run) -> np.ndarray:
+    """Return whether nothing turns in a row, shape (R,)."""
+    rates = [run.covariates[each.name] for each in recorded() if each.si == "rad/s" and each.name in run.covariates]
+    return np.all([each == 0 for each in rates], axis=0) if rates else np.ones(run.rows, dtype=bool)
 
 
 def _counts(runs: Sequence[Run], where: Sequence[str]) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch, TableSource
 from imubayes.campaign.sampling_rate import sampling_interval
-from imubayes.foundations.covariates import TEMPERATURE_COLUMNS
+from imubayes.foundations.covariates import RATE_COLUMNS, TEMPERATURE_COLUMNS
 from imubayes.foundations.errors import Issue
 from imubayes.foundations.units import ABSURD
 from imubayes.foundations.wrong_records import WrongRecord
@@ -34,6 +34,7 @@ FINDINGS: dict[str, str] = {
     "missing_values": "a required cell is empty",
     "empty_run": "the run has no usable row",
     "rate_unit": "the rate column or the gyro is in another unit of rate",
+    "rate_impossible": "a rate is faster than any table turns",
     "angle_in_radians": "the angle column is in radians",
     "kelvin_temperature": "the temperature is in kelvin",
     "current_unit": "the injected current is in another unit",
@@ -49,12 +50,13 @@ FINDINGS: dict[str, str] = {
     "temperature_value": "the outputs of a run belong to another temperature",
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
+    "outputs_exchanged": "the outputs of two runs are exchanged",
     "outputs_apart": "the outputs of a channel in a run do not belong to this channel",
     "output_offset": "the outputs of a channel are off by the same amount in all rows of a run, or in all runs",
     "rate_without_sign": "the rates of a run are recorded without their sign",
     "rates_exchanged": "the rates of rows of a run are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
-    "reference_unit": "the rates of a reference gyro have another sign or unit",
+    "reference_unit": "the rates of a reference gyro have another sign, unit or order",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
     "mountings_exchanged": "two mountings are exchanged",
@@ -77,6 +79,7 @@ FINDINGS: dict[str, str] = {
     "run_disagrees": "a run does not agree with the others under the model (`check --model`)",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "standard_errors": "deviations of raw samples are standard errors of their means",
+    "deviations_unlike": "the deviations of raw samples are in another unit than those of the other runs",
     "samples_missing": "standard deviations of raw samples are stated without the number of samples",
     "samples_unlike": "the number of samples is unlike that of the other runs",
     "not_settled": "an output does not become steady at a level of the stimulus",
@@ -92,12 +95,12 @@ FINDINGS: dict[str, str] = {
 
 SYMPTOMS = ("sign_reversed", "scale_far_from_nominal")
 """Findings of single runs that a mistake in the set-up explains."""
-UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
-"""Findings of wrong units of outputs in single runs, which may be what a mistake `LIKE_UNITS` looks like there."""
+UNIT_FINDINGS = ("rate_unit", "acceleration_unit", "rate_impossible")
+"""Findings of wrong units and values in single runs, which may be what a mistake `LIKE_UNITS` looks like there."""
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
     "table_zero", "axis_zero", "axis_reversed", "axis_columns", "table_elevation", "table_reversed", "axes_exchanged",
-    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit",
+    "time_shift", "angle_unit", "rates_missing", "rate_without_sign", "reference_unit", "outputs_exchanged",
 )  # fmt: skip
 
 
@@ -146,6 +149,7 @@ PLATEAU_RATIO = 3  # so many times longer than any run of one value inside the r
 KELVIN_ABOVE = 200.0
 KELVIN_BELOW = 400.0  # 127 °C, beyond which few chambers go
 FAHRENHEIT_ABOVE = 100.0  # °C, beyond which few chambers go; 100 °F are 38 °C
+FASTEST = 1e6  # deg/s, 170 000 rpm; tables and centrifuges stay far below
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
 
 
@@ -256,6 +260,7 @@ class Monitor:
     _kelvin: dict[str, _Tally] = field(default_factory=dict)
     _fahrenheit: dict[str, _Tally] = field(default_factory=dict)
     _parts: dict[str, _Tally] = field(default_factory=dict)
+    _too_fast: dict[str, _Tally] = field(default_factory=dict)
     _repeats: dict[str, _Repeat] = field(default_factory=dict)
     _previous: dict[str, float] = field(default_factory=dict)
     _longest_gap: float = 0.0
@@ -278,6 +283,10 @@ class Monitor:
                 self._parts.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(huge))
                 warm = (batch.numbers[name] > FAHRENHEIT_ABOVE) & (batch.numbers[name] <= KELVIN_ABOVE)
                 self._fahrenheit.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(warm))
+        for name in RATE_COLUMNS:
+            if name in batch.numbers:
+                fast = np.flatnonzero(np.abs(batch.numbers[name]) > FASTEST)
+                self._too_fast.setdefault(name, _Tally()).note(batch.first + fast)
         for name in self.source.layout.channels:
             self._repeats.setdefault(name, _Repeat()).add(batch.numbers[name])
         if "time_s" in batch.numbers and batch.rows:
@@ -344,6 +353,10 @@ class Monitor:
             what += " or tenths of a degree"
             remedy = "if they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column; divide tenths by 10"
             found += self._at("temperature_unit", tally, name, what, "degrees Celsius", remedy, "warning")
+        for name, tally in self._too_fast.items():
+            what = f"{_count(tally, 'value')} of '{name}' above {FASTEST:g}, faster than any table turns"
+            allowed = f"degrees per second up to {FASTEST:g}"
+            found += self._at("rate_impossible", tally, name, what, allowed, "correct the cell, or remove the row")
         return found
 
     def _time_findings(self) -> list[Finding]:

@@ -218,6 +218,9 @@ COVARIATES: dict[str, Covariate] = {covariate.name: covariate for covariate in _
 TEMPERATURE_COLUMNS = tuple(each.column for each in COVARIATES.values() if each.si == "degC")
 """Columns of run tables that hold temperatures: of the sensors, and of the converter."""
 
+RATE_COLUMNS = tuple(each.column for each in COVARIATES.values() if each.si == "rad/s" and each.origin == "recorded")
+"""Columns of run tables that hold rates: of the axes of a table, and of a reference gyro."""
+
 
 def recorded() -> tuple[Covariate, ...]:
     """Return the covariates that are columns of run tables."""

@@ -37,7 +37,7 @@ _NEARLY_EXCHANGED = 0.2
 """How far the size of an exchange may be from 1: what is estimated beside it moves with the column."""
 _NEARLY_REVERSED = 0.1
 """The same of a factor from −1: of the negative ones a reversed sign alone is a mistake of a record."""
-_LEAST_EXCHANGED = 2.0  # °C of mean temperatures; columns that are nearer to each other are the same exchanged
+_LEAST_EXCHANGED = 2.0  # °C, root mean square; columns that are nearer to each other are the same exchanged
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
         for one, other in combinations(known, 2):
             own, others = (campaign.runs[k].covariates[column] for k in (one, other))
             apart = others - own if len(own) == len(others) else np.array([others.mean() - own.mean()])
-            if np.isfinite(apart).all() and abs(float(apart.mean())) > _LEAST_EXCHANGED:
+            if np.isfinite(apart).all() and float(np.sqrt(np.mean(apart**2))) > _LEAST_EXCHANGED:
                 yield WrongInput(one, "exchange", column, other=other, apart=tuple(apart.tolist()))
 
 

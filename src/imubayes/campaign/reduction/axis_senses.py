@@ -1,13 +1,14 @@
 """Whether gyros and accelerometers read in one right-handed system: reversed and exchanged axes, found by gravity.
 
 The gyros carry the direction of gravity from one instant to the next, where the accelerometers observe it.  Each change
-of the axes that a laboratory makes is tried: one channel reversed, all gyros reversed, gyros exchanged, with any signs.
+of the axes that a laboratory makes is tried: one channel reversed, all gyros reversed, gyros exchanged, with any
+signs, and two accelerometers exchanged.
 A reversed accelerometer is invisible in |f| = g, and a fit would absorb it in other parameters.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 
 import numpy as np
 
@@ -47,7 +48,10 @@ def axis_changes(channels: Sequence[Channel]) -> tuple[AxisChange, ...]:
         *(_reversed([each], gyros, gyros) for each in gyros),
         _reversed(gyros, gyros, gyros),
     ]
-    return (*one, *_exchanges(gyros))
+    exchanges = _exchanges(gyros)
+    plain = [change for negative, change in exchanges if not negative]
+    signed = [change for negative, change in exchanges if negative]
+    return (*one, *plain, *(_renamed(pair, accelerometers) for pair in combinations(accelerometers, 2)), *signed)
 
 
 def best_change(
@@ -93,15 +97,25 @@ def _reversed(reversed_: Sequence[Channel], kind: Sequence[Channel], gyros: Sequ
     return AxisChange("sign_reversed", f"{_named(reversed_)} reversed", remedy, turned, np.eye(3))
 
 
-def _exchanges(gyros: Sequence[Channel]) -> list[AxisChange]:
-    """Return the exchanges of axes of the gyros, with any signs; plain ones first."""
+def _renamed(pair: tuple[Channel, Channel], kind: Sequence[Channel]) -> AxisChange:
+    """Return that the columns of two accelerometers are exchanged."""
+    axes, order = _axes(kind), list(range(len(kind)))
+    one, other = (next(k for k, each in enumerate(kind) if each is channel) for channel in pair)
+    order[one], order[other] = other, one
+    turned = np.linalg.pinv(axes) @ axes[order]
+    names = _named(pair)
+    return AxisChange("axes_do_not_fit", f"{names} exchanged", f"exchange the columns {names}", turned, np.eye(3))
+
+
+def _exchanges(gyros: Sequence[Channel]) -> list[tuple[int, AxisChange]]:
+    """Return the exchanges of axes of the gyros, with any signs and their number; plain ones first."""
     found = []
     for order in permutations(range(3)):
         for sign in product([1.0, -1.0], repeat=3):
             turned = np.array(sign)[:, None] * np.eye(3)[list(order)]
             if order != (0, 1, 2):
                 found.append((sum(each < 0 for each in sign), _exchanged(gyros, turned)))
-    return [change for _, change in sorted(found, key=lambda each: each[0])]
+    return sorted(found, key=lambda each: each[0])
 
 
 def _exchanged(gyros: Sequence[Channel], turned: np.ndarray) -> AxisChange:

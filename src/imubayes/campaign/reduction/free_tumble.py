@@ -6,6 +6,7 @@ the rows of the run are built.  The gyro and accelerometer axes are checked for 
 exchanged axes.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -33,6 +34,7 @@ from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import angle_between
+from imubayes.foundations.wrong_records import GAINS
 
 # Nominal biases and scale factors propagate gravity to within a few degrees; a reversed axis misses by tens.
 _INCONSISTENT = np.deg2rad(20.0)
@@ -169,7 +171,7 @@ def reduce_tumble(
     whole, untold = _tumble(recording, detection, flagged)
     tumble, lost = _without_clipped(whole, recording, detection.poses, channels, clipped, limits or {}, file)
     notes = (*_notes(recording, detection, flagged, rotated, whole), *untold, *lost)
-    findings = _findings(recording, detection, gravity, file) or check_axes(recording, good, channels, file)
+    findings = _findings(recording, detection, gravity, channels, file) or check_axes(recording, good, channels, file)
     rows = _rows(numbers, channels, good)
     for index, channel in enumerate(channels):
         spoilt = np.array([clipped[pose.indices(), index].any() for pose in good])
@@ -372,10 +374,55 @@ def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: str) -> lis
     ]  # fmt: skip
 
 
-def _findings(recording: static.Recording, detection: Detection, gravity: float, file: str) -> list[Finding]:
+_LEAST_ELLIPSOID = 9
+_CLOSED = 0.05
+"""Poses from which an ellipsoid with its axes along those of the body is determined, by three more than it has numbers,
+and the share of g² that it may leave."""
+_SAME_FACTOR = 0.05
+
+
+def wrong_channel_unit(means: np.ndarray, gravity: float, channels: Sequence[Channel], file: str) -> list[Finding]:
+    """Return a finding for each accelerometer whose outputs of static poses, (n, 3) in m/s², are of another size.
+
+    |f| = g makes them an ellipsoid, whose semi-axes are g times what each responds with.
+    """
+    if len(means) < _LEAST_ELLIPSOID:
+        return []
+    unit = means / gravity
+    quadratic, *_ = np.linalg.lstsq(np.concatenate([unit**2, unit], axis=1), np.ones(len(unit)), rcond=None)
+    square, linear = quadratic[:3], quadratic[3:]
+    if np.any(square <= 0):
+        return []
+    size = 1 + float(np.sum(linear**2 / square)) / 4
+    left = float(np.sqrt(np.mean((unit**2 @ square + unit @ linear - 1) ** 2))) / size
+    found = list[Finding]()
+    for channel in channels if left < _CLOSED else ():
+        along = np.abs(channel.axes[0])
+        factor = math.sqrt(size / square[int(np.argmax(along))])
+        if channel.kind != "accelerometer" or along.max() < 1 - _CLOSED or 1 / _OTHER_RANGE < factor < _OTHER_RANGE:
+            continue
+        named = [name for name, gain in GAINS["accelerometer"].items() if abs(factor / gain - 1) < _SAME_FACTOR]
+        found.append(
+            Finding(
+                "acceleration_unit", "error", "",
+                f"channel '{channel.name}' responds with {factor:.4g} times its nominal scale factor, by |f| = g in "
+                "the static poses" + (f": {named[0]}?" if named else ""),
+                f"{file}, column '{channel.name}'", "outputs in 'output_unit', 'scale' of them per 'per'",
+                f"write scale = {channel.scale * factor:.4g} for '{channel.name}', or correct 'per'",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _findings(
+    recording: static.Recording, detection: Detection, gravity: float, channels: Sequence[Channel], file: str
+) -> list[Finding]:
     """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
     means = static.pose_means(recording.force, detection.poses)
-    found, shares = wrong_acceleration_unit(means, gravity, file), []
+    found, shares = wrong_channel_unit(means, gravity, channels, file), []
+    if found and len(found) < sum(channel.kind == "accelerometer" for channel in channels):
+        return found
+    found = wrong_acceleration_unit(means, gravity, file)
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
         angle = angle_between(f, h)
         if recording.turns and angle > 0.3 and not static.broken_turn(recording, before.stop - 1, after.start):

@@ -154,7 +154,9 @@ def _columns(view: RunView) -> np.ndarray:
 
 
 def recorded_column(view: RunView, column: str) -> np.ndarray:
-    """Return a column of angles or rates of an axis, such as ``middle_angle``, (R,)."""
+    """Return a column of angles or rates of an axis, such as ``middle_angle``, or of temperatures, (R,)."""
+    if column in view.temperatures:
+        return view.temperatures[column]
     axis, quantity = column.rsplit("_", 1)
     if axis == AXES[-1]:
         return getattr(view, quantity)
@@ -162,7 +164,9 @@ def recorded_column(view: RunView, column: str) -> np.ndarray:
 
 
 def with_column(view: RunView, column: str, values: np.ndarray) -> RunView:
-    """Return a view with another column of angles or rates of an axis."""
+    """Return a view with another column of angles or rates of an axis, or of temperatures."""
+    if column in view.temperatures:
+        return changed(view, temperatures={**view.temperatures, column: values})
     axis, quantity = column.rsplit("_", 1)
     if axis == AXES[-1]:
         return changed(view, **{quantity: values})

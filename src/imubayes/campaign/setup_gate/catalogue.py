@@ -15,14 +15,22 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
     TableZero,
     TimeShift,
 )
-from imubayes.campaign.setup_gate.file_mistakes import OtherUnit, SamplesFewer
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit, OutputsExchanged, SamplesFewer
 from imubayes.campaign.setup_gate.mounting_mistakes import (
+    InputAxisAngles,
     InputAxisWrong,
+    MountingAngles,
     MountingMislabelled,
     MountingsExchanged,
     MountingWrong,
 )
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, ChannelsExchanged, KindsExchanged
+from imubayes.campaign.setup_gate.output_mistakes import (
+    ChannelApart,
+    ChannelOffset,
+    ChannelsExchanged,
+    KindsExchanged,
+    OffsetsMissing,
+)
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
 from imubayes.campaign.setup_gate.reading_mistakes import (
     AngleUnit,
@@ -46,8 +54,9 @@ MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
     TableElevation, TableAzimuth, ChannelsExchanged, KindsExchanged, TimeShift, MountingWrong, InputAxisWrong,
     AxisZero, AxisSense, AxisColumns, ReferenceUnit, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates,
-    RateFactor,
+    RateFactor, MountingAngles, InputAxisAngles,
     LatitudeSign, LatitudeValue,
     ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
-    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit, SamplesFewer,
+    RateWithoutSign, RatesExchanged, RatesMissing, OutputsExchanged, OffsetsMissing, ChannelOffset, ChannelApart,
+    OtherUnit, SamplesFewer,
 )  # fmt: skip

@@ -122,7 +122,7 @@ class Mistake(ABC):
         """Return whether a mistake of that size is beyond a poor unit; else it is a warning."""
         return True
 
-    def negligible(self, campaign: Campaign, size: float) -> bool:
+    def negligible(self, campaign: Campaign, size: float, gain: float) -> bool:
         """Return whether a mistake of that size is not said if plausible errors would explain the outputs as well."""
         return abs(size) < self.least
 

@@ -78,9 +78,18 @@ _ACCELEROMETER = {
     "industrial": Widths(0.01, 0.5 * _DEG, 20 * _MG, 3 * _MG, 5 * _MG, 0.002, 0.005, 3 * _MG),
     "consumer": Widths(0.03, 1.5 * _DEG, 80 * _MG, 15 * _MG, 15 * _MG, 0.005, 0.015, 15 * _MG),
 }
-G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
+G_SENSITIVITIES = (
+    0.02 * _DEG_H,
+    0.2 * _DEG_H,
+    1.5 * _DEG_H,
+    5 * _DEG_H,
+    15 * _DEG_H,
+    50 * _DEG_H,
+    150 * _DEG_H,
+    500 * _DEG_H,
+)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
-data sheet of a grade determines it within a factor of ten."""
+data sheet of a grade determines it within a factor of ten.  Optical gyros have next to none."""
 G_SQUARED = 10 * _DEG_H
 """Standard deviation of each term quadratic in g of a gyro, rad/s per g²."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}

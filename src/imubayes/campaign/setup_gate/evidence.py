@@ -102,8 +102,14 @@ class ErrorModel:
         self.size = start + 3 * len(self.tables)
         self.sd = self._standard_deviations(campaign)
         self.thermal = np.add.outer(self.own * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
+        self.g_sensitive, self.quadratic = self._terms_of_g()
+
+    def _terms_of_g(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the places of the terms of g of the gyros, and which of them are quadratic, each (n,)."""
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
-        self.g_sensitive = np.array([self.own * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
+        each = np.array([*range(7, 10), *range(_OWN, self.own)])
+        places = np.add.outer(self.own * np.array(gyro, dtype=int), each)
+        return places.ravel(), np.broadcast_to(each >= _OWN, places.shape).ravel()
 
     def as_steady_as(self, steadiness: Steadiness) -> "ErrorModel":
         """Return the model of a unit of another steadiness."""
@@ -282,7 +288,7 @@ class ErrorModel:
         if place is None or self.centre is None:
             return np.eye(3)
         if place not in self.rotated:
-            self.rotated[place] = _rotation(self.centre[place : place + 3])
+            self.rotated[place] = rotation(self.centre[place : place + 3])
         return self.rotated[place]
 
     def _shared(self, views: Sequence[RunView]) -> np.ndarray:
@@ -317,7 +323,7 @@ class ErrorModel:
         lower = np.linalg.cholesky(scaled)
         across = lower[..., count:, :count]
         left = (bordering - across @ across.swapaxes(-2, -1))[..., None, :, :]
-        variance = np.square(g_sensitivities)[:, None, None]
+        variance = np.square(self._widths_of_g(np.asarray(g_sensitivities)))[:, :, None]
         inner = np.eye(len(last) - 1) + variance * left[..., :-1, :-1]
         rest = left[..., :-1, -1:]
         solved = np.linalg.solve(inner, variance * rest)
@@ -337,8 +343,16 @@ class ErrorModel:
     def widths_with(self, g_sensitivity: float) -> np.ndarray:
         """Return the standard deviations of all errors with that of the g-sensitivity, shape (P,)."""
         sd = self.sd.copy()
-        sd[self.g_sensitive] = g_sensitivity
+        sd[self.g_sensitive] = self._widths_of_g(np.array([g_sensitivity]))[0]
         return sd
+
+    def _widths_of_g(self, g_sensitivities: np.ndarray) -> np.ndarray:
+        """Return the standard deviations of the terms of g with each of G sensitivities, shape (G, n).
+
+        A gyro that g hardly moves has no larger quadratic terms.
+        """
+        each = g_sensitivities[:, None]
+        return np.where(self.quadratic, np.minimum(each, G_SQUARED), each)
 
     def estimates(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors, those of mountings and tables in rad, shape (P,)."""
@@ -358,7 +372,7 @@ class ErrorModel:
         return self.fit(terms, G_SENSITIVITIES[-1:]).misfit[..., 0]
 
 
-def _rotation(vector: np.ndarray) -> np.ndarray:
+def rotation(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of a rotation vector, rad (Rodrigues)."""
     cross, angle = cross_matrices(vector).T, float(np.linalg.norm(vector))
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross

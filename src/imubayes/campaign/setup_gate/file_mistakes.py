@@ -1,5 +1,6 @@
-"""Mistakes of a run as a whole: it is of another unit, or its rows are means of fewer samples than stated."""
+"""Mistakes of a run as a whole: another unit, outputs of another run, or rows of fewer samples than stated."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -54,6 +55,36 @@ class OtherUnit(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run as it is."""
         return views[place]
+
+
+@dataclass(frozen=True)
+class OutputsExchanged(Mistake):
+    """The outputs of two runs are exchanged, and the columns of the bench are not; `other` is the place of the second.
+
+    They were joined to the wrong log of the bench.
+    """
+
+    second: str
+    other: int
+    kind: ClassVar[str] = "outputs_exchanged"
+    rarity: ClassVar[float] = OPEN
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair of runs of as many rows at other stimuli."""
+        for first, second in itertools.combinations(range(len(views)), 2):
+            if views[first].rows == views[second].rows and _stimuli_differ(views[first], views[second]):
+                yield cls(Scope("run", views[first].name, (first, second)), views[second].name, second)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the outputs of the other."""
+        source = views[self.scope.runs[0] if place == self.other else self.other]
+        return changed(views[place], observed=source.observed)
+
+
+def _stimuli_differ(one: RunView, other: RunView) -> bool:
+    pairs = ((one.angle, other.angle), (one.rate, other.rate), (one.reference, other.reference))
+    return any(a is None or b is None or not np.allclose(a, b, equal_nan=True) for a, b in pairs if a is not b)
 
 
 _FEWER = tuple(math.log(each) for each in (2.0, 5.0, 12.0, 30.0, 75.0, 200.0, 500.0, 1200.0, 3000.0))

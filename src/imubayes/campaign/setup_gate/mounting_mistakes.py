@@ -1,6 +1,7 @@
 """Mistakes in how a unit was mounted, and in the axes of its channels."""
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,7 +18,9 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
     tables_of,
     wide_first,
 )
-from imubayes.campaign.setup_gate.setup_view import RunView, changed
+from imubayes.campaign.setup_gate.error_model import NormalTerms
+from imubayes.campaign.setup_gate.evidence import ErrorModel, rotation
+from imubayes.campaign.setup_gate.setup_view import RunView, changed, in_body
 from imubayes.foundations.campaign_data import Campaign
 
 
@@ -102,6 +105,70 @@ class MountingWrong(Mistake):
 
 
 @dataclass(frozen=True)
+class MountingAngles(Mistake):
+    """The matrix of a mounting is any other rotation: `matrix`, that of most evidence."""
+
+    matrix: np.ndarray
+    kind: ClassVar[str] = "mounting_wrong"
+    rarity: ClassVar[float] = 30.0  # three angles are chosen by the outputs, among hundreds of each
+
+    @property
+    def variant(self) -> str:
+        """Any angles."""
+        return "angles"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the rotation that the runs of each mounting show beside all others."""
+        model = ErrorModel(campaign)
+        terms = model.terms_of_parts(len(views), model.seen_in_parts(views))
+        for scope in mountings_of(views):
+            rest = terms.total() - terms[list(scope.runs)].total()
+            matrix = _shown_mounting(campaign, [views[k] for k in scope.runs], rest)
+            if matrix is not None:
+                yield cls(scope, matrix)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run in the other orientation."""
+        return changed(views[place], body_to_table=self.matrix)
+
+
+_WIDE, _LONGEST, _TURNS, _SETTLED = 1.0, 0.5, 6, 1e-3  # rad, of the angles of a mounting; steps
+_LEAST_TURN = np.radians(3.0)
+
+
+def _shown_mounting(campaign: Campaign, views: Sequence[RunView], rest: NormalTerms) -> np.ndarray | None:
+    """Return the matrix of a mounting of some runs of most evidence, (3, 3); None if it is about the stated one.
+
+    Parameters
+    ----------
+    rest : terms of the other runs.
+    """
+    model, stated = ErrorModel(campaign), views[0].body_to_table
+    place, matrix = model.mountings[views[0].mounting or ""], stated
+
+    def terms(of: np.ndarray) -> NormalTerms:
+        turned = [changed(view, body_to_table=of) for view in views]
+        return rest + model.terms_of_parts(len(turned), model.seen_in_parts(turned)).total()
+
+    for width in (_WIDE, model.sd[place]):
+        model.sd[place : place + 3] = width
+        for _ in range(_TURNS):
+            step = model.estimates(terms(matrix))[place : place + 3]
+            step *= min(1.0, _LONGEST / max(float(np.linalg.norm(step)), _SETTLED))
+            matrix = matrix @ rotation(step).T
+            if float(np.linalg.norm(step)) < _SETTLED:
+                break
+    # A table that turns does not determine the angle about its axis: it is left as stated.
+    about = matrix @ stated.T
+    angle = np.arctan2(about[0, 1] - about[1, 0], about[0, 0] + about[1, 1])
+    nearest = rotation(np.array([0.0, 0.0, angle])) @ matrix
+    if model.score(terms(nearest)) < model.score(terms(matrix)) + 1.0:
+        matrix = nearest
+    return matrix if np.arccos(np.clip((np.trace(matrix @ stated.T) - 1) / 2, -1, 1)) > _LEAST_TURN else None
+
+
+@dataclass(frozen=True)
 class InputAxisWrong(Mistake):
     """The input axis of a channel is another axis of the body."""
 
@@ -132,6 +199,72 @@ class InputAxisWrong(Mistake):
         axes = np.array(views[place].axes)
         axes[self.channel] = self.axes
         return changed(views[place], axes=axes)
+
+
+@dataclass(frozen=True)
+class InputAxisAngles(InputAxisWrong):
+    """The input axis of a channel has any other direction: that along which its outputs rise."""
+
+    rarity: ClassVar[float] = 16.0  # two angles are chosen by the outputs
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the direction that the outputs of each channel show, if it is far from the stated one."""
+        inputs = [_inputs(view) for view in views]
+        for place, channel in enumerate(campaign.channels):
+            if channel.kind != "angle":
+                felt = [each[channel.kind] for each in inputs]
+                outputs = [(view.observed[:, place] - channel.offset) / channel.scale_si for view in views]
+                axis = _shown_axis(felt, outputs, channel.axes[0])
+                if axis is not None:
+                    yield cls(all_runs(range(len(views))), place, _triad(axis, channel.axes[1]))
+
+
+def _inputs(view: RunView) -> dict[str, np.ndarray]:
+    """Return rate and force in body axes, each (R, 3), by the kind of channel that feels them."""
+    stand = view.local_to_body()
+    return {"gyro": view.rate_in_body(stand), "accelerometer": in_body(stand, view.up())}
+
+
+_NULL, _UNIT = 1e-2, 0.02
+"""Share of the largest input below which a direction has none, and of the length of a direction that is one."""
+
+
+def _shown_axis(felt: Sequence[np.ndarray], outputs: Sequence[np.ndarray], stated: np.ndarray) -> np.ndarray | None:
+    """Return the direction along which outputs rise with their full scale factor; None near the stated one.
+
+    Parameters
+    ----------
+    felt, outputs : of each run, (R, 3) and (R,), SI; every run has an offset of its own.
+    """
+    kept = [np.isfinite(each) for each in outputs]
+    if not any(rows.sum() > 1 for rows in kept):
+        return None
+    parts = [
+        (x[rows] - x[rows].mean(axis=0), y[rows] - y[rows].mean())
+        for x, y, rows in zip(felt, outputs, kept, strict=True) if rows.any()
+    ]  # fmt: skip
+    x, y = np.concatenate([each for each, _ in parts]), np.concatenate([each for _, each in parts])
+    _, size, across = np.linalg.svd(x, full_matrices=False)
+    seen = across[size > _NULL * max(size[0], np.finfo(float).tiny)]
+    axis = seen.T @ np.linalg.lstsq(x @ seen.T, y, rcond=None)[0]
+    # A direction without input takes what is missing of the length.
+    rest, missing = stated - seen.T @ (seen @ stated), 1 - float(axis @ axis)
+    if missing > 0 and np.linalg.norm(rest) > 0:
+        axis = axis + math.sqrt(missing) * rest / np.linalg.norm(rest)
+    length = float(np.linalg.norm(axis))
+    if abs(length - 1) > _UNIT or axis @ stated / length > math.cos(_LEAST_TURN):
+        return None
+    return axis / length
+
+
+def _triad(axis: np.ndarray, output_axis: np.ndarray) -> np.ndarray:
+    """Return input, output and cross axis, (3, 3), with the output axis as near the stated one as it can be."""
+    across = output_axis - (output_axis @ axis) * axis
+    if np.linalg.norm(across) < _NULL:
+        across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across = across / np.linalg.norm(across)
+    return np.stack([axis, across, np.cross(axis, across)])
 
 
 def _orientations() -> Iterator[np.ndarray]:

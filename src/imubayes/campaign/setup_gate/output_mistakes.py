@@ -151,6 +151,38 @@ class ChannelOffset(Mistake):
         return changed(views[place], observed=observed)
 
 
+@dataclass(frozen=True)
+class OffsetsMissing(Mistake):
+    """The outputs of all channels in a run were recorded less their offsets: signed counts beside unsigned ones."""
+
+    offsets: tuple[float, ...]
+    kind: ClassVar[str] = "output_offset"
+    rarity: ClassVar[float] = OPEN
+
+    @property
+    def variant(self) -> str:
+        """All channels."""
+        return "all"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every run of several, if channels have an offset."""
+        offsets = tuple(channel.offset for channel in campaign.channels)
+        if any(offsets) and len(views) > 1:
+            yield from (cls(scope, offsets) for scope in single_runs(views, tables_only=False))
+
+    def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
+        """Return the offsets, added to the outputs."""
+        return WrongRecord(
+            run=self.scope.name, form="output_offset", quantity="outputs", unit=campaign.channels[0].output_unit,
+            recorded=0.0, agreeing=self.offsets,
+        )  # fmt: skip
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the offsets."""
+        return changed(views[place], observed=views[place].observed + np.array(self.offsets))
+
+
 _LEAST_BIAS = {"gyro": 5 * _DEGREE, "accelerometer": 15.0}
 """Median output about the offset from which an offset is doubted: rad/s, and m/s², above that of a unit at rest."""
 

@@ -21,6 +21,7 @@ from imubayes.foundations.wrong_records import RATE_UNITS, SCALE_OF_KIND
 _LEAST_RATE = math.radians(0.5)  # rad/s, of rows that count as turning
 _LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that determines its rate
 _SAME_FACTOR = 0.02  # relative difference of units that are one
+_EXCHANGES: dict[tuple[int, ...], tuple[int, int, int]] = {(0, 1): (1, 0, 2), (0, 2): (2, 1, 0), (1, 2): (0, 2, 1)}
 _AS_RECORDED = 0.2  # relative difference of rates that are alike but for the sign
 
 
@@ -123,18 +124,20 @@ class RatesExchanged(Mistake):
 
 @dataclass(frozen=True)
 class ReferenceUnit(Mistake):
-    """The rates of a reference gyro have the opposite sign about one axis, or all are in another `unit`.
+    """The rates of a reference gyro have the opposite sign about one axis, are exchanged, or all in another `unit`.
 
     Gyros that are all held against it may be wrong in the same way.
 
     Attributes
     ----------
     axes : of the reference gyro that are concerned.
+    order : of the columns that hold the rates about x, y and z.
     """
 
     axes: tuple[int, ...]
     factor: float
     unit: str
+    order: tuple[int, int, int] = (0, 1, 2)
     kind: ClassVar[str] = "reference_unit"
 
     @property
@@ -149,23 +152,25 @@ class ReferenceUnit(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield each axis reversed and every unit, in all runs beside a reference gyro or one."""
+        """Yield each axis reversed, each pair exchanged, and every unit, in all runs beside a reference gyro or one."""
         beside = [k for k, view in enumerate(views) if view.reference is not None]
         scopes = [all_runs(beside), *(Scope("run", views[k].name, (k,)) for k in beside)] if beside else []
         for scope in scopes:
             yield from (cls(scope, (axis,), -1.0, "") for axis in range(3))
+            yield from (cls(scope, pair, 1.0, "", order) for pair, order in _EXCHANGES.items())
             yield from (cls(scope, (0, 1, 2), factor, unit) for unit, factor in RATE_UNITS.items())
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is the sign or the unit of gyros that does the same."""
-        if not isinstance(other, ChannelGain) or other.scope.runs != self.scope.runs:
+        if not isinstance(other, ChannelGain) or self.factor == 1 or other.scope.runs != self.scope.runs:
             return False
         return abs(other.factor / self.factor - 1) < _SAME_FACTOR
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the rates of the reference converted."""
+        """Return the run with the rates of the reference converted, or in order."""
         reference = views[place].reference
         assert reference is not None
+        reference = reference[:, list(self.order)]
         return changed(views[place], reference=reference * np.where(np.isin(range(3), self.axes), self.factor, 1.0))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
     DECISIVE,
+    RIVALLED,
     Concealed,
     Mistake,
     Scope,
@@ -113,9 +114,13 @@ class LatitudeValue(Mistake):
         """Return whether the latitude exists: outputs beyond the poles show more than the Earth rate."""
         return abs(size) <= math.pi / 2
 
-    def negligible(self, campaign: Campaign, size: float) -> bool:
-        """Return whether it is near the stated one: what a linear model leaves out moved a valid one by 9 degrees."""
-        return abs(size - campaign.site.latitude) < LEAST_LATITUDE
+    def negligible(self, campaign: Campaign, size: float, gain: float) -> bool:
+        """Return whether it is near the stated one, and not by far better.
+
+        What a linear model leaves out moved a valid one by 9 degrees.
+        """
+        near = abs(size - campaign.site.latitude) < LEAST_LATITUDE
+        return near and gain < RIVALLED * len(campaign.channels)
 
 
 _LOGARITHMS = tuple(np.arange(-3.0, 2.6, 0.25).tolist())  # factors of 0.05 to 12
@@ -220,7 +225,7 @@ class NominalScale(_Factor):
         """A scale factor is that of all runs."""
         return self.rarity if self.scope.section == "campaign" else OPEN_SCALE
 
-    def negligible(self, campaign: Campaign, size: float) -> bool:
+    def negligible(self, campaign: Campaign, size: float, gain: float) -> bool:
         """Return whether a poor unit may have that scale factor."""
         return not self.stops(size)
 
@@ -343,9 +348,12 @@ class ChannelGain(Mistake):
         for kind, gains in GAINS.items():
             factors = {"": -1.0} | gains
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
+            tumbled = feels_the_earth_alone(campaign, views)
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
-                told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
+                # Of tumbles the other runs determine the biases, which a constant input passes for in one.
+                here = views if tumbled else [views[k] for k in scope.runs]
+                told = sum(driven(campaign, channel, here) for channel in channels)
                 if told < _least_driven(scope, views, channels):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)

@@ -10,6 +10,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate import thermal_mistakes as thermal
 from imubayes.campaign.setup_gate.explanations import Explanation
+from imubayes.campaign.setup_gate.file_mistakes import OutputsExchanged
 from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, repeats
 from imubayes.campaign.setup_gate.places import Places, subject_of
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign, ReferenceUnit
@@ -114,13 +115,27 @@ def _swapped(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
+def _outputs(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, OutputsExchanged)
+    first, second = found.mistake.scope.name, found.mistake.second
+    return Issue(
+        f"the outputs of runs '{first}' and '{second}' are exchanged, and the columns of the bench are not",
+        f"{places.table(first)} and {places.table(second)}",
+        "outputs beside the columns of the bench of the same run",
+        f"exchange the columns of all channels between {places.file(first)} and {places.file(second)}",
+    )
+
+
 def _reference(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, ReferenceUnit)
     mistake, subject = found.mistake, subject_of(found.mistake)
     columns = [f"'reference_{'xyz'[axis]}_deg_s'" for axis in mistake.axes]
     listed, many = ", ".join(columns), len(columns) > 1
-    what = f"in {mistake.unit}" if mistake.unit else "reversed in sign"
-    mend = f"multiply {listed} by {mistake.factor:.8g}" if mistake.unit else f"reverse the sign of {listed}"
+    what, mend = "reversed in sign", f"reverse the sign of {listed}"
+    if mistake.unit:
+        what, mend = f"in {mistake.unit}", f"multiply {listed} by {mistake.factor:.8g}"
+    elif mistake.factor == 1:
+        what, mend = "exchanged", f"exchange the names of the columns {listed}"
     return Issue(
         f"{'columns' if many else 'column'} {listed} {'are' if many else 'is'} {what} {subject}",
         places.column(mistake, columns[0].strip("'")),
@@ -156,6 +171,8 @@ _ALLOWED = {
 def issue_of(found: Explanation, record: WrongRecord, places: Places) -> Issue:
     """Return what is wrong in the record of a run as an issue."""
     where = places.column(found.mistake, record.quantity.split(" and ")[0])
+    if record.quantity == "outputs":
+        where = places.table(record.run)
     if record.form == "unit":
         where = places.line("run", record.run, "file")
     if record.other:
@@ -168,6 +185,7 @@ RECORD_REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "thermometers_exchanged": _thermometers,
     "temperature_reversed": _backwards,
     "outputs_apart": _apart,
+    "outputs_exchanged": _outputs,
     "output_offset": _offset,
     "rate_without_sign": _unsigned,
     "rates_missing": _no_rates,

@@ -195,9 +195,11 @@ def _files(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, seats.MountingWrong)
+    assert isinstance(mistake, (seats.MountingWrong, seats.MountingAngles))
     name, run = mistake.scope.name, mistake.scope.section == "run"
-    what = "the transpose of body_to_table fits" if mistake.transposed else "the unit sat in another orientation"
+    what = "the unit sat in another orientation"
+    if isinstance(mistake, seats.MountingWrong) and mistake.transposed:
+        what = "the transpose of body_to_table fits"
     remedy = f"write body_to_table = {_rows(mistake.matrix)}"
     return Issue(
         f"{what} {subject_of(mistake)}",
@@ -354,7 +356,7 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _axis(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, seats.InputAxisWrong)
-    channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes
+    channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes.round(6)
     stated = (channel.axes[0].round(6) + 0.0).tolist()
     return Issue(
         f"channel '{channel.name}' responds along {(axis[0] + 0.0).tolist()}, not along its input_axis {stated}",

@@ -162,7 +162,11 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     views = levels[0].views
     likeliest = levels.likeliest(_concealed(campaign, levels[first], views), first, stated)
     likeliest += levels.likeliest([rival for each in likeliest for rival in each.mistake.rivals()], first, stated)
-    said = [each for each in _strongest(likeliest) if _is_sayable(each, campaign)]
+    strongest = _strongest(likeliest)
+    small = [x.support for x in strongest if x.mistake.negligible(campaign, x.size, x.gain)]
+    # Beside what is too small to be said nothing else is said that the outputs do not distinguish from it.
+    least = max(small, default=-math.inf) + DECISIVE
+    said = [each for each in strongest if each.support > least and _is_sayable(each, campaign)]
     return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
 
 
@@ -186,7 +190,7 @@ def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
 
 def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
     """Whether a mistake is supported well enough to be said."""
-    if found.support <= found.mistake.bar(campaign) or found.mistake.negligible(campaign, found.size):
+    if found.support <= found.mistake.bar(campaign):
         return False
     return not found.rivalled or found.gain > RIVALLED * len(campaign.channels)
 

@@ -17,7 +17,8 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.wrong_records import OPEN, WrongRecord, celsius
 
-_LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
+LEAST_COURSE = 2.0
+"""°C; a temperature that changes by less is the same reversed, and one that is off by less is not told."""
 _MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
 _PLACES = 4  # of temperatures, between which the best one is found
 SENSOR, CONVERTER = "temperature", "converter_temperature"
@@ -171,7 +172,7 @@ class TemperatureReversed(OfTemperatures):
         for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
             for scope in single_runs(views):
                 recorded = views[scope.runs[0]].temperatures
-                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
+                if all(name in recorded and np.ptp(recorded[name]) > LEAST_COURSE for name in names):
                     yield cls(scope, names)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -219,7 +220,7 @@ class TemperatureValue(OfTemperatures):
 
     def possible(self, size: float) -> bool:
         """Return whether other runs determine what the outputs are at such temperatures."""
-        return self.reach[0] < size < self.reach[1] and abs(size) > _LEAST_COURSE
+        return self.reach[0] < size < self.reach[1] and abs(size) > LEAST_COURSE
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
         """Return the other mean temperature."""
@@ -242,11 +243,10 @@ class TemperaturesExchanged(OfTemperatures):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every pair of runs at different temperatures."""
-        mean = {k: {name: np.mean(x) for name, x in view.temperatures.items()} for k, view in enumerate(views)}
-        for first, second in itertools.combinations([k for k, own in mean.items() if own], 2):
-            one, other = mean[first], mean[second]
-            if one.keys() == other.keys() and any(abs(one[name] - other[name]) > _LEAST_COURSE for name in one):
+        """Yield every pair of runs at different temperatures, or with different courses of them."""
+        for first, second in itertools.combinations([k for k, view in enumerate(views) if view.temperatures], 2):
+            one, other, rows = views[first].temperatures, views[second].temperatures, views[first].rows
+            if one.keys() == other.keys() and any(_differ(one[name], _as_long(other[name], rows)) for name in one):
                 yield cls(Scope("run", views[first].name, (first, second)), views[second].name, second)
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
@@ -260,6 +260,10 @@ class TemperaturesExchanged(OfTemperatures):
         """Return the run with the temperatures of the other."""
         view, source = views[place], views[self.scope.runs[0] if place == self.other else self.other]
         return changed(view, temperatures={name: _as_long(x, view.rows) for name, x in source.temperatures.items()})
+
+
+def _differ(one: np.ndarray, other: np.ndarray) -> bool:
+    return float(np.sqrt(np.mean((one - other) ** 2))) > LEAST_COURSE
 
 
 def _as_long(values: np.ndarray, rows: int) -> np.ndarray:

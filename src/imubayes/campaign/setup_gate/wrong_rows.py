@@ -16,11 +16,12 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.axis_mistakes import AXES, recorded_column, with_column
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs, turns
+from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed, Mistake, Scope, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale, rate_factor
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
+from imubayes.campaign.setup_gate.thermal_mistakes import LEAST_COURSE
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.wrong_records import OPEN, Form, WrongRecord
@@ -40,8 +41,8 @@ LEAST_OUTPUT = 1e-3
 _OPEN, _RIVAL = 12.0, 10.0
 """Gain that an open value needs over a reversed sign, and within which of the best a record is a rival."""
 MOST_ROWS = 3
-_MOST_LEFT_OUT = 6
-_STEPS = 5
+_MOST_LEFT_OUT = 4
+_STEPS, _REWEIGHED = 5, 2
 _STARTS = np.linspace(-np.pi / 2, np.pi, 4)
 _NORMAL_MAD = 0.6745
 _STEP = 1e-4
@@ -133,16 +134,18 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
 
     Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
     """
-    recorded = model.seen_of(views)
-    fitted, out = [_no_more_than_it_moves(seen) for seen in recorded], list[tuple[int, int]]()
-    terms = [model.terms_of(seen) for seen in fitted]
-    judged = _judged(model, terms, fitted, recorded)
+    recorded, turning = model.seen_of(views), [view.largest_rate() > 0 for view in views]
+    fitted = _robust(model, recorded, turning)
+    if fitted is None:
+        return None
+    out, terms = list[tuple[int, int]](), [model.terms_of(seen) for seen in fitted]
+    judged = _judged(model, terms, fitted, recorded, turning)
     while len(out) < _MOST_LEFT_OUT:
         place, row = _farthest(judged.apart, out)
         out.append((place, row))
         fitted[place] = fitted[place].without_row(row)
         terms[place] = model.terms_of(fitted[place])
-        judged = _judged(model, terms, fitted, recorded)
+        judged = _judged(model, terms, fitted, recorded, turning)
         apart = judged.apart
         sizes = {each: float(apart[each[0]][each[1]]) for each in out}
         rest = _farthest(apart, out)
@@ -151,7 +154,7 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
         right = max((size for each, size in sizes.items() if each not in wrong), default=0.0)
         if 0 < len(wrong) <= MOST_ROWS and min(wrong.values()) >= STANDS_OUT * right:
             place, row = max(wrong, key=lambda each: wrong[each])
-            several = sum(each[0] == place for each in wrong)
+            several = int(np.sum(apart[place] >= LEAST_SD))
             found = WrongRow(views[place].name, row, "", 0.0, 0.0, 0.0, wrong[place, row])
             return _likeliest(model, views[place], place, found, several, judged)
     return None
@@ -166,11 +169,30 @@ def _no_more_than_it_moves(seen: Seen) -> Seen:
     return replace(seen, square=np.maximum(seen.square, apart**2))
 
 
+def _robust(model: ErrorModel, recorded: Sequence[Seen], turning: Sequence[np.ndarray]) -> list[Seen] | None:
+    """Return the rows with weights that no row far off draws to itself; None if all are near their predictions."""
+    fitted = [_no_more_than_it_moves(seen) for seen in recorded]
+    for _ in range(_REWEIGHED):
+        judged = _judged(model, [model.terms_of(seen) for seen in fitted], fitted, recorded, turning)
+        if max(float(each.max(initial=0.0)) for each in judged.apart) < LEAST_SD / 2:
+            return None
+        fitted = [_no_surer(seen, left) for seen, left in zip(recorded, judged.left, strict=True)]
+    return fitted
+
+
+def _no_surer(seen: Seen, left: np.ndarray) -> Seen:
+    """Return the rows of a run with variances no less than the squares of what a fit leaves (Cauchy weights).
+
+    A row that is far off does not draw the fit to itself, whatever its leverage.
+    """
+    return replace(seen, unknown=np.maximum(seen.unknown, np.nan_to_num(left) ** 2))
+
+
 def _likeliest(
     model: ErrorModel, view: RunView, place: int, wrong: WrongRow, several: int, judged: "_JudgedRows"
 ) -> WrongRow | None:
     """Return what in the record of a row brings it in line, with what does so as well; None if nothing does."""
-    columns = [replace(wrong, column=column) for column in _columns(view, several)]
+    columns = [replace(wrong, column=column) for column in _columns(view, wrong.row, several)]
     outputs = [replace(wrong, channel=k) for k in model.places if _is_of_rows(model, view, k, wrong.row, several)]
     found: list[tuple[float, WrongRow]] = []
     for each in (*columns, *(outputs if len(model.places) > 1 else [])):
@@ -185,9 +207,22 @@ def _likeliest(
 
 
 def _is_of_rows(model: ErrorModel, view: RunView, channel: int, row: int, wrong: int) -> bool:
-    """Whether an output has a size in more rows than are wrong: else the whole run is."""
-    size = np.abs(view.observed[:, channel] - model.channels[model.places.index(channel)].offset)
-    return bool(np.isfinite(size[row]) and np.sum(size > LEAST_RATE * np.nanmax(size)) > 2 * wrong)
+    """Whether an output has a size, of its nominal one, in more rows than are wrong: else the whole run is."""
+    at = model.places.index(channel)
+    size = np.nan_to_num(np.abs(view.observed[:, channel] - model.channels[at].offset))
+    nominal = float(np.abs(model.seen(view).along[at]).max()) * abs(model.channels[at].scale_si)
+    return bool(np.isfinite(view.observed[row, channel]) and _moved(size, row, nominal) > 2 * wrong)
+
+
+def _moved(values: np.ndarray, row: int, reach: float = 0.0) -> int:
+    """Return in how many rows a quantity has a size, beside the largest of the rows but one, which may be wrong.
+
+    Parameters
+    ----------
+    reach : that the largest has at least.
+    """
+    largest = float(np.delete(values, row).max(initial=reach))
+    return int(np.sum(values > LEAST_RATE * largest)) if largest > 0 else 0
 
 
 def _record(each: WrongRow) -> tuple[str, int | None]:
@@ -210,15 +245,17 @@ def _farthest(apart: Sequence[np.ndarray], out: Sequence[tuple[int, int]]) -> tu
     return place, int(np.argmax(left[place]))
 
 
-def _columns(view: RunView, wrong: int) -> Iterator[str]:
+def _columns(view: RunView, row: int, wrong: int) -> Iterator[str]:
     """Yield what may be wrong in so many rows of a run."""
     for axis in () if view.table is None else AXES[-1:] if view.outer is None else AXES:
         angle, rate = recorded_column(view, f"{axis}_angle"), np.abs(recorded_column(view, f"{axis}_rate"))
         if np.isfinite(angle).any() and view.attitude is None:
             yield f"{axis}_angle"
         # What is wrong in most rows that turn is wrong in the run: its sense, its unit, or a scale factor.
-        if np.sum(rate > LEAST_RATE * rate.max()) > 2 * wrong:
+        if _moved(rate, row) > 2 * wrong:
             yield f"{axis}_rate"
+    # A row that is named by a direction may be in another one, which looks like another temperature.
+    yield from view.temperatures if view.attitude is None else ()
 
 
 def _agreeing_records(
@@ -239,12 +276,9 @@ def _agreeing_records(
     )
     if not np.isfinite(recorded):
         return []
-    angle = wrong.column.endswith("angle")
+    angle, temperature = wrong.column.endswith("angle"), wrong.column in view.temperatures
     step = LEAST_OUTPUT * abs(recorded - offset) if of_output else _STEP
-    if of_output:
-        least = step
-    else:
-        least = LEAST_ANGLE if angle else LEAST_RATE * float(np.abs(recorded_column(view, wrong.column)).max())
+    least = step if of_output else _least(view, wrong)
     # Outputs go around a circle with the angle: a search that starts a quarter of a turn away may end beside it.
     starts = recorded + (_STARTS if angle else np.zeros(1))
     left, value, sd = min(_agreeing(error, at, step) for at in starts) if step > 0 else (np.inf, recorded, 0.0)
@@ -252,7 +286,7 @@ def _agreeing_records(
         value = recorded + float((value - recorded + np.pi) % (2 * np.pi) - np.pi)
     count, reversed_ = len(error(recorded)), 2 * offset - recorded
     tried = [(count * left**2 + _OPEN, left, replace(wrong, recorded=recorded, agreeing=value, sd=sd))]
-    if not angle:
+    if not angle and not temperature:
         rest = float(np.sqrt(np.mean(error(reversed_) ** 2)))
         tried.append((count * rest**2, rest, replace(wrong, recorded=recorded, agreeing=reversed_)))
     in_line = [
@@ -260,6 +294,15 @@ def _agreeing_records(
         if abs(each.agreeing - recorded) > least and rest <= max(LEFT * size, 3.0)
     ]  # fmt: skip
     return [min(in_line, key=lambda each: each[0])] if in_line else []
+
+
+def _least(view: RunView, wrong: WrongRow) -> float:
+    """Return the least error of a column in a row that is told."""
+    if wrong.column in view.temperatures:
+        return LEAST_COURSE
+    if wrong.column.endswith("angle"):
+        return float(LEAST_ANGLE)
+    return LEAST_RATE * float(np.delete(np.abs(recorded_column(view, wrong.column)), wrong.row).max())
 
 
 def _agreeing(error: Callable[[float], np.ndarray], value: float, step: float) -> tuple[float, float, float]:
@@ -291,17 +334,28 @@ class _JudgedRows:
     Attributes
     ----------
     apart : distance of every row of a run from its prediction, in standard deviations of all rows, shape (R,).
-    error : place and view → errors of the outputs of the run less the prediction, over their scatter, (K, R).
+    left : errors of the outputs of each run less the prediction, SI, shape (K, R).
+    error : place and view → the same of another view, over their scatter, (K, R).
     """
 
     apart: list[np.ndarray]
+    left: list[np.ndarray]
     error: Callable[[int, RunView], np.ndarray]
 
 
 def _judged(
-    model: ErrorModel, terms: Sequence[NormalTerms], fitted: Sequence[Seen], recorded: Sequence[Seen]
+    model: ErrorModel,
+    terms: Sequence[NormalTerms],
+    fitted: Sequence[Seen],
+    recorded: Sequence[Seen],
+    turning: Sequence[np.ndarray],
 ) -> _JudgedRows:
-    """Judge the recorded rows by the errors that those fitted, which have these terms, show."""
+    """Judge the recorded rows by the errors that those fitted, which have these terms, show.
+
+    Parameters
+    ----------
+    turning : of each run, whether the table turns in a row, (R,).
+    """
     errors = model.estimates(stacked_terms(terms).total())
     own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
 
@@ -314,15 +368,31 @@ def _judged(
     offsets = [_medians(np.where(seen.there, one, np.nan)) for seen, one in zip(fitted, every, strict=True)]
     every = [one - offset for one, offset in zip(every, offsets, strict=True)]
     rest = [np.where(seen.there, one, np.nan) for seen, one in zip(fitted, every, strict=True)]
-    white = np.concatenate([model.white(seen) for seen in fitted], axis=1)
-    scatter = _medians(np.abs(np.concatenate(rest, axis=1))) / _NORMAL_MAD
-    scatter = np.maximum(scatter, np.sqrt(np.median(white, axis=1, keepdims=True)))
-    scatter = np.where(scatter > 0, scatter, np.inf)
+    scatter = _scatters(rest, [model.white(seen) for seen in fitted], turning)
 
     def error(place: int, view: RunView) -> np.ndarray:
-        return np.nan_to_num((left(model.seen(view)) - offsets[place]) / scatter)
+        return np.nan_to_num((left(model.seen(view)) - offsets[place]) / scatter[place])
 
-    return _JudgedRows([np.sqrt(np.mean(np.nan_to_num(one / scatter) ** 2, axis=0)) for one in every], error)
+    apart = [np.sqrt(np.mean(np.nan_to_num(one / own) ** 2, axis=0)) for one, own in zip(every, scatter, strict=True)]
+    return _JudgedRows(apart, every, error)
+
+
+def _scatters(
+    errors: Sequence[np.ndarray], white: Sequence[np.ndarray], turning: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Return the scatter of each output among those of its kind, at rest or turning, shape (K, R) of each run.
+
+    A linear model leaves more of the outputs of a unit that turns.  If few rows are of a kind all serve.
+    """
+    every, noise, turn = np.concatenate(errors, axis=1), np.concatenate(white, axis=1), np.concatenate(turning)
+    kinds = [turn, ~turn]
+    of_kind = [each if each.sum() >= 2 * LEAST_SD else np.ones_like(turn) for each in kinds]
+    scatter = np.empty_like(every)
+    for kind, rows in zip(kinds, of_kind, strict=True):
+        own = _medians(np.abs(every[:, rows])) / _NORMAL_MAD
+        own = np.maximum(own, np.sqrt(np.median(noise[:, rows], axis=1, keepdims=True)))
+        scatter[:, kind] = np.where(own > 0, own, np.inf)
+    return np.split(scatter, np.cumsum([len(each) for each in turning])[:-1], axis=1)
 
 
 def _medians(values: np.ndarray) -> np.ndarray:
@@ -340,7 +410,10 @@ class RateFactor(Mistake):
     """
 
     kind: ClassVar[str] = "table_rate"
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
     estimated: ClassVar[bool] = True
+    of_doubted_runs: ClassVar[int] = 2
+    least: ClassVar[float] = 0.005  # scale factors of a good unit repeat from run to run
     rarity: ClassVar[float] = OPEN
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
     usual_within: ClassVar[float] = 0.02
@@ -360,6 +433,10 @@ class RateFactor(Mistake):
     def possible(self, size: float) -> bool:
         """Return whether the factor is within the range of those tried: at its end there is no estimate."""
         return abs(size) < self.sizes[-1]
+
+    def bar(self, campaign: Campaign) -> float:
+        """Return what other scale factors in a run would gain."""
+        return RIVALLED * len(campaign.of_kind("gyro"))
 
     def like(self, other: Mistake) -> bool:
         """Return whether another is the scale factor of one gyro in the run, alike if it alone sees the rate."""

@@ -107,7 +107,11 @@ def _corrected(
 
     A gross one distorts the fit, so that its linear response about the fit does not lead to it.
     """
-    acting = (each for each in weighed_records(fitted) if acts_through_the_model(each.wrong))
+    # About a fit that failed outputs are corrected as well: nothing leads from there to a gross error.
+    acting = (
+        each for each in weighed_records(fitted)
+        if acts_through_the_model(each.wrong) or not (fitted.optimised or each.wrong.form in ("unit", "samples"))
+    )  # fmt: skip
     best = next(acting, None)
     if best is None:
         return None
