@@ -202,7 +202,7 @@ def test_what_is_planned_is_said_with_the_first_motion() -> None:
     expected = ExpectedUncertainty("gyro_scale_factor", "gx", 2.34e-4, "ppm", 1e-6, 1.0)
     lines = plan_lines(Guidance("plan", of=20.0, expected=(expected,), ask="turn it"))
     assert lines == [
-        "Standard uncertainties to expect of the planned motions, 20 s each:",
+        "Standard uncertainties to expect of the planned motions, 20 s each, at 3 mg of hand or drill:",
         "  gyro_scale_factor: 230 ppm or less (gx)",
         "turn it",
     ]
@@ -246,7 +246,7 @@ def test_a_drill_is_captured_into_a_campaign(unit, tmp_path, capsys) -> None:
                   "--patience", "0", "--gravity-m-s2", str(GRAVITY)])  # fmt: skip
     said = capsys.readouterr().out
     assert status == 1
-    assert "Standard uncertainties to expect of the planned motions, 6 s each:" in said
+    assert "Standard uncertainties to expect of the planned motions, 6 s each, at 3 mg of hand or drill:" in said
     assert "z forward, " in said
     assert "turns by gravity" in said
     campaign = imubayes.load_campaign(tmp_path / "c")

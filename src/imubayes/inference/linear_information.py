@@ -11,7 +11,7 @@ import numpy as np
 from imubayes.effects.base import AmbientEffect
 from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.laplace_marginal import climb
-from imubayes.inference.parameter_fit import linearise_once, whitened_about
+from imubayes.inference.parameter_fit import Linearised, linearise_once, whitened_about
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
@@ -49,19 +49,26 @@ class LinearInformation:
     precision, pull : shapes (P, P) and (P,), precision of θ with its prior, and precision × posterior mean.
     widths, owner : shape (P,), prior widths, and the effects that the parameters belong to.
     scatter : root mean square of the whitened residuals about the posterior mean; 1 if the noise is as assumed.
+    about : the model linearised.
     """
 
     precision: np.ndarray
     pull: np.ndarray
     widths: np.ndarray
     owner: np.ndarray
-    scatter: float = 1.0
+    scatter: float
+    about: Linearised
 
 
-def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
-    """Return the linear model at noise scales h, (H,), those of the campaign if None."""
-    start = first_point(model.assembly)
-    about = linearise_once(model.problem, start)
+def linear_information(model: Model, h: np.ndarray | None = None, about: Linearised | None = None) -> LinearInformation:
+    """Return the linear model at noise scales h, (H,), those of the campaign if None.
+
+    Parameters
+    ----------
+    about : the model linearised, of a `LinearInformation` that is at hand.
+    """
+    about = about or _about_nominal(model)
+    start = about.z
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
@@ -70,10 +77,13 @@ def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInfor
     left = residual + jacobian @ (start - np.linalg.solve(precision, pull))
     told = float(np.sum(1 - np.diag(inverse_of_precision(precision)) / widths**2))
     scatter = float(np.sqrt(left @ left / max(len(left) - told, 1.0)))
-    return LinearInformation(precision, pull, widths, owner, scatter)
+    return LinearInformation(precision, pull, widths, owner, scatter, about)
 
 
-def likely_scales(model: Model) -> np.ndarray:
+def likely_scales(model: Model, about: Linearised | None = None) -> np.ndarray:
     """Return the most probable noise scales, (H,) in z, of a model linear about nominal equipment and sensors."""
-    about = linearise_once(model.problem, first_point(model.assembly))
-    return climb(model.problem, about, np.zeros(len(model.hyper_layout)))[0]
+    return climb(model.problem, about or _about_nominal(model), np.zeros(len(model.hyper_layout)))[0]
+
+
+def _about_nominal(model: Model) -> Linearised:
+    return linearise_once(model.problem, first_point(model.assembly))

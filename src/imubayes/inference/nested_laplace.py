@@ -52,9 +52,9 @@ from imubayes.model.problem import Problem, hyper_prior_square, predict_many, pr
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
-# Points over which the distance from the ridge is judged, its root mean square that is left, in standard deviations, and
-# the most steps of the chord method that bring it there.  Points that are off by d standard deviations have log weights
-# of standard deviation d; a standard uncertainty, one direction of many, is off by less than d²/2.
+# Points over which the distance from the ridge is judged, its root mean square that is left, in standard deviations,
+# and the most steps of the chord method that bring it there.  Points that are off by d standard deviations have log
+# weights of standard deviation d; a standard uncertainty, one direction of many, is off by less than d²/2.
 _RIDGE_POINTS, _ON_RIDGE, _MOST_CHORDS = 32, 0.3, 4
 # Where the marginal of h is evaluated along each axis, in units of its width at the mode,
 _PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])

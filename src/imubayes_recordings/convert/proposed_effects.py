@@ -18,7 +18,14 @@ import numpy as np
 from imubayes import observability
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.numerics import inverse_of_precision
-from imubayes.inference.linear_information import STATION, TOLD, LinearInformation, linear_information, of_equipment
+from imubayes.inference.linear_information import (
+    STATION,
+    TOLD,
+    LinearInformation,
+    likely_scales,
+    linear_information,
+    of_equipment,
+)
 from imubayes.model.bind import Model, bind
 from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import EffectSpec, ModelSpec
@@ -57,6 +64,8 @@ class ProposedEffect:
 @dataclass(frozen=True)
 class ExpectedUncertainty:
     """What the runs are expected to determine of a coefficient, by the noise that the campaign states.
+
+    The acceleration of a hand, a drill or a wheel is that which the runs in motion show.
 
     Attributes
     ----------
@@ -119,8 +128,15 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
         missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
-        expected=_expected(model, known, kept),
+        expected=_expected(model, _as_recorded(model, known), kept),
     )
+
+
+def _as_recorded(model: Model, known: LinearInformation) -> LinearInformation:
+    """Return the linear model at the noise that runs in motion show: how a hand accelerates, no campaign states."""
+    if not any(_in_motion(run) for run in model.campaign.runs):
+        return known
+    return linear_information(model, likely_scales(model, known.about), known.about)
 
 
 def _expected(model: Model, known: LinearInformation, kept: set[str]) -> tuple[ExpectedUncertainty, ...]:
