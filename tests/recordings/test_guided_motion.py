@@ -145,7 +145,7 @@ def known(monkeypatch):
 
 def drill_steps(write, *turns: np.ndarray) -> tuple[DrillSteps, list[Guidance]]:
     until = tuple(read_wanted(("gyro_scale_factor=0.1%",), GRAVITY))
-    steps, seen = DrillSteps(1 / HZ, NAMES, 6.0, until, write), []
+    steps, seen = DrillSteps(DrillWatch(1 / HZ, NAMES), 6.0, until, write), []
     for values in turns:
         for piece in pieces(np.concatenate([values, turned(0, 0.0, 2.0)])):
             steps.add(piece, [f"{len(seen)}"] * len(piece))
@@ -187,7 +187,7 @@ def test_another_axis_ends_the_turn(known) -> None:
 
 def test_a_wave_goes_on_until_it_determines_what_was_asked_for(known, unit) -> None:
     until = tuple(read_wanted(("gyro_scale_factor=0.1%",), GRAVITY))
-    steps = WaveSteps(1 / HZ, GRAVITY, NAMES, 40.0, until, known)
+    steps = WaveSteps(WaveWatch(1 / HZ, GRAVITY, NAMES), 40.0, until, known)
     columns = waved(unit, 4, seconds=90.0)
     states: list[str] = []
     for piece in pieces(np.stack([columns[name] for name in NAMES], axis=1)):
