@@ -145,7 +145,7 @@ def known(monkeypatch):
 
 def drill_steps(write, *turns: np.ndarray) -> tuple[DrillSteps, list[Guidance]]:
     until = tuple(read_wanted(("gyro_scale_factor=0.1%",), GRAVITY))
-    steps, seen = DrillSteps(1 / HZ, NAMES, 6.0, until, write), []
+    steps, seen = DrillSteps(DrillWatch(1 / HZ, NAMES), 6.0, until, write), []
     for values in turns:
         for piece in pieces(np.concatenate([values, turned(0, 0.0, 2.0)])):
             steps.add(piece, [f"{len(seen)}"] * len(piece))
@@ -187,7 +187,7 @@ def test_another_axis_ends_the_turn(known) -> None:
 
 def test_a_wave_goes_on_until_it_determines_what_was_asked_for(known, unit) -> None:
     until = tuple(read_wanted(("gyro_scale_factor=0.1%",), GRAVITY))
-    steps = WaveSteps(1 / HZ, GRAVITY, NAMES, 40.0, until, known)
+    steps = WaveSteps(WaveWatch(1 / HZ, GRAVITY, NAMES), 40.0, until, known)
     columns = waved(unit, 4, seconds=90.0)
     states: list[str] = []
     for piece in pieces(np.stack([columns[name] for name in NAMES], axis=1)):
@@ -202,7 +202,7 @@ def test_what_is_planned_is_said_with_the_first_motion() -> None:
     expected = ExpectedUncertainty("gyro_scale_factor", "gx", 2.34e-4, "ppm", 1e-6, 1.0)
     lines = plan_lines(Guidance("plan", of=20.0, expected=(expected,), ask="turn it"))
     assert lines == [
-        "Standard uncertainties that the planned motions are expected to give, 20 s each:",
+        "Standard uncertainties that the planned motions are expected to give, 20 s each, at 3 mg of hand or drill:",
         "  gyro_scale_factor: 230 ppm or less (gx)",
         "turn it",
     ]
@@ -246,7 +246,10 @@ def test_a_drill_is_captured_into_a_campaign(unit, tmp_path, capsys) -> None:
                   "--patience", "0", "--gravity-m-s2", str(GRAVITY)])  # fmt: skip
     said = capsys.readouterr().out
     assert status == 1
-    assert "Standard uncertainties that the planned motions are expected to give, 6 s each:" in said
+    assert (
+        "Standard uncertainties that the planned motions are expected to give, 6 s each, at 3 mg of hand or drill:"
+        in said
+    )
     assert "z forward, " in said
     assert "turns by gravity" in said
     campaign = imubayes.load_campaign(tmp_path / "c")

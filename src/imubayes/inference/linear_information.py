@@ -13,7 +13,7 @@ import numpy as np
 from imubayes.effects.base import AmbientEffect
 from imubayes.foundations.numerics import inverse_of_precision
 from imubayes.inference.laplace_marginal import climb
-from imubayes.inference.parameter_fit import linearise_once, whitened_about
+from imubayes.inference.parameter_fit import Linearised, linearise_once, whitened_about
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
@@ -54,6 +54,7 @@ class LinearInformation:
     widths, slopes : shape (P,), prior widths, and SI units for one of z.
     scatter : root mean square of the whitened residuals of the whole model about its posterior mean; 1 if the noise is
         as assumed.
+    about : the whole model linearised.
     """
 
     parameters: tuple[Parameter, ...]
@@ -61,7 +62,8 @@ class LinearInformation:
     pull: np.ndarray
     widths: np.ndarray
     slopes: np.ndarray
-    scatter: float = 1.0
+    scatter: float
+    about: Linearised
 
     @cached_property
     def owner(self) -> np.ndarray:
@@ -97,7 +99,7 @@ class LinearInformation:
         inside = np.flatnonzero(~np.isin(self.owner, list(effects)))
         return LinearInformation(
             tuple(self.parameters[place] for place in inside), self.precision[np.ix_(inside, inside)],
-            self.pull[inside], self.widths[inside], self.slopes[inside], self.scatter,
+            self.pull[inside], self.widths[inside], self.slopes[inside], self.scatter, self.about,
         )  # fmt: skip
 
     def widening(self, effect: str, of: Collection[str]) -> float:
@@ -108,10 +110,15 @@ class LinearInformation:
         return float(np.sqrt(np.max(ratio, initial=1.0)))
 
 
-def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
-    """Return the linear model at noise scales h, (H,), those of the campaign if None."""
-    start = first_point(model.assembly)
-    about = linearise_once(model.problem, start)
+def linear_information(model: Model, h: np.ndarray | None = None, about: Linearised | None = None) -> LinearInformation:
+    """Return the linear model at noise scales h, (H,), those of the campaign if None.
+
+    Parameters
+    ----------
+    about : the model linearised, of a `LinearInformation` that is at hand.
+    """
+    about = about or _about_nominal(model)
+    start = about.z
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     precision = jacobian.T @ jacobian + np.diag(widths**-2)
@@ -120,10 +127,13 @@ def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInfor
     told = float(np.sum(1 - np.diag(inverse_of_precision(precision)) / widths**2))
     scatter = float(np.sqrt(left @ left / max(len(left) - told, 1.0)))
     slopes = np.asarray(prior_slopes(model.problem.priors, start))
-    return LinearInformation(model.layout.parameters, precision, pull, widths, slopes, scatter)
+    return LinearInformation(model.layout.parameters, precision, pull, widths, slopes, scatter, about)
 
 
-def likely_scales(model: Model) -> np.ndarray:
+def likely_scales(model: Model, about: Linearised | None = None) -> np.ndarray:
     """Return the most probable noise scales, (H,) in z, of a model linear about nominal equipment and sensors."""
-    about = linearise_once(model.problem, first_point(model.assembly))
-    return climb(model.problem, about, np.zeros(len(model.hyper_layout)))[0]
+    return climb(model.problem, about or _about_nominal(model), np.zeros(len(model.hyper_layout)))[0]
+
+
+def _about_nominal(model: Model) -> Linearised:
+    return linearise_once(model.problem, first_point(model.assembly))

@@ -44,8 +44,9 @@ from imubayes.model.problem import Problem, hyper_prior_square, predict_many, pr
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
-# Points over which the distance from the ridge is judged, the largest that is left, in standard deviations, and the
-# most steps of the chord method that bring it there.
+# Points over which the distance from the ridge is judged, its root mean square that is left, in standard deviations,
+# and the most steps of the chord method that bring it there.  Points that are off by d standard deviations have log
+# weights of standard deviation d; a standard uncertainty, one direction of many, is off by less than d²/2.
 _RIDGE_POINTS, _ON_RIDGE, _MOST_CHORDS = 32, 0.3, 4
 # Draws whose precisions are formed and factored together: of more, what is read again is no longer in the cache.
 _AT_ONCE = 64
@@ -201,7 +202,7 @@ def chord_steps(
     before = np.inf
     for count in range(_MOST_CHORDS + 1):
         step = chords.step(problem, z)
-        size = np.sqrt(np.einsum("np,pq,nq->n", step, precision, step, optimize=True).max())
+        size = np.sqrt(np.einsum("np,pq,nq->n", step, precision, step, optimize=True).mean())
         if size < _ON_RIDGE:
             return replace(chords, steps=count) if count else None
         if not size < before:

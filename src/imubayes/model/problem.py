@@ -370,8 +370,19 @@ def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Floa
     """
     sparsity = problem.sparsity
     predicted, push = jax.linearize(lambda point: predict(problem, point), z)
-    packed = jax.vmap(push)(sparsity.seeds)
+    packed = jax.vmap(push)(sparsity.seeds) if problem.carried is None else _in_turn(push, sparsity.seeds)
     return predicted, jnp.where(sparsity.reach, take(packed, sparsity.colour).T, 0.0)
+
+
+def _in_turn(push: Callable, seeds: Float[Array, "S P"]) -> Float[Array, "S E"]:
+    """Return a linear function of each seed, some at once: that of a long motion would not stay in the cache.
+
+    The last batch is filled with zeros: a rest would be compiled for itself.
+    """
+    count = len(seeds)
+    batches = jnp.pad(seeds, ((0, -count % _AT_ONCE), (0, 0))).reshape(-1, _AT_ONCE, seeds.shape[1])
+    packed = jax.lax.map(jax.vmap(push), batches)
+    return packed.reshape(-1, packed.shape[-1])[:count]
 
 
 def hyper_prior_square(problem: Problem, h: Float[Array, "*batch H"]) -> Scalars:

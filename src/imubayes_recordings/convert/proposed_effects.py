@@ -17,8 +17,15 @@ import numpy as np
 
 from imubayes import observability
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.inference.linear_information import STATION, TOLD, LinearInformation, linear_information, of_equipment
-from imubayes.model.bind import bind
+from imubayes.inference.linear_information import (
+    STATION,
+    TOLD,
+    LinearInformation,
+    likely_scales,
+    linear_information,
+    of_equipment,
+)
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 
@@ -54,6 +61,8 @@ class ProposedEffect:
 @dataclass(frozen=True)
 class ExpectedUncertainty:
     """What the runs are expected to determine of a coefficient, by the noise that the campaign states.
+
+    The acceleration of a hand, a drill or a wheel is that which the runs in motion show.
 
     Attributes
     ----------
@@ -116,8 +125,15 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
         missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
-        expected=_expected(known, kept),
+        expected=_expected(_as_recorded(model, known), kept),
     )
+
+
+def _as_recorded(model: Model, known: LinearInformation) -> LinearInformation:
+    """Return the linear model at the noise that runs in motion show: how a hand accelerates, no campaign states."""
+    if not any(_in_motion(run) for run in model.campaign.runs):
+        return known
+    return linear_information(model, likely_scales(model, known.about), known.about)
 
 
 def _expected(known: LinearInformation, kept: set[str]) -> tuple[ExpectedUncertainty, ...]:

@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imubayes.display.numbers_and_labels import listed
+from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes_recordings.display.expected_lines import expected_lines
 from imubayes_recordings.guided_capture import Guidance, Wanted
+from imubayes_recordings.guided_capture.planned_motion import HAND
 
 _NEAR = 30.0  # times what is asked for; beyond, a number would say nothing
 
@@ -29,7 +31,8 @@ def now_line(step: Guidance) -> str:
 
 def plan_lines(step: Guidance) -> list[str]:
     """Return what the planned motions are expected to determine, and the first of them."""
-    lines = [f"Standard uncertainties that the planned motions are expected to give, {step.of:g} s each:"]
+    moved = f"at {1e3 * HAND / STANDARD_GRAVITY:.1g} mg of hand or drill"
+    lines = [f"Standard uncertainties that the planned motions are expected to give, {step.of:g} s each, {moved}:"]
     return [*lines, *(f"  {line}" for line in expected_lines(step.expected)), step.ask]
 
 

@@ -23,6 +23,7 @@ from imubayes_recordings.convert.column_names import TIME
 from imubayes_recordings.convert.formats.text import TextRecording
 from imubayes_recordings.convert.recording import ForeignRecording
 from imubayes_recordings.guided_capture.motion_steps import DrillSteps, MotionSteps, Parts, WaveSteps
+from imubayes_recordings.guided_capture.motion_watch import DrillWatch, WaveWatch
 from imubayes_recordings.guided_capture.planned_motion import PROCEDURE, SECONDS, expected_of_plan, noise_of
 from imubayes_recordings.guided_capture.pose_steps import FIRST, PoseSteps
 from imubayes_recordings.guided_capture.steps import UNTIL, Guidance, GuidedSteps, Motion, Wanted, read_wanted
@@ -159,14 +160,14 @@ class GuidedCapture:
             return PoseSteps(self._interval, least, self._until, lambda folder: self._read([self._part]).write(folder))
         names, given = tuple(self._names), (self._seconds, self._until, self._write_parts)
         if self._motion == "wave":
-            return WaveSteps(self._interval, gravity, names, *given)
+            return WaveSteps(WaveWatch(self._interval, gravity, names), *given)
         if len(names) < 6:
             raise input_error(
                 "turns on a drill need gyros, which the recording does not have", str(self.file),
                 "columns ax, ay, az, gx, gy, gz; or --motion wave or poses with accelerometers alone",
                 "record the gyros as well, or choose another motion",
             )  # fmt: skip
-        return DrillSteps(self._interval, names, *given)
+        return DrillSteps(DrillWatch(self._interval, names), *given)
 
     def _read(self, files: Sequence[Path], name: str = "capture") -> ReadRecordings:
         return read_recordings(files, name, **self._options)

@@ -23,20 +23,24 @@ Parts = Mapping[str, Sequence[str]]
 """Name → lines of each run that is recorded."""
 
 
-class MotionSteps(ABC):
+class MotionSteps[Watch](ABC):
     """Guides through motions; one kind of motion says which are done and which are to be made."""
 
-    def __init__(self, seconds: float, until: Sequence[Wanted], write: Callable[[Parts, Path], object]) -> None:
+    def __init__(
+        self, watch: Watch, seconds: float, until: Sequence[Wanted], write: Callable[[Parts, Path], object]
+    ) -> None:
         """Begin.
 
         Parameters
         ----------
+        watch : judges the motion as it goes on.
         seconds : of each motion.
         write : writes the campaign of some parts of the recording.
         """
-        self._seconds, self._until, self._write = seconds, until, write
+        self._watch, self._seconds, self._until, self._write = watch, seconds, until, write
         self.parts: dict[str, list[str]] = {}
-        self._now = Guidance("begin", of=seconds)
+        self._lines: list[str] = []  # of a motion that goes on
+        self._now = Guidance("begin", of=seconds, ask=self.next_motion())
 
     @abstractmethod
     def add(self, values: np.ndarray, lines: Sequence[str]) -> None:
@@ -78,21 +82,10 @@ class MotionSteps(ABC):
         return self._now
 
 
-class DrillSteps(MotionSteps):
+class DrillSteps(MotionSteps[DrillWatch]):
     """Turns about each axis of the body, both ways."""
 
-    def __init__(
-        self,
-        interval: float,
-        names: tuple[str, ...],
-        seconds: float,
-        until: Sequence[Wanted],
-        write: Callable[[Parts, Path], object],
-    ) -> None:
-        """Begin; `interval` between samples, s, and the names of the channels."""
-        super().__init__(seconds, until, write)
-        self._watch, self._lines, self._closed = DrillWatch(interval, names), [], False
-        self._now = replace(self._now, ask=self.next_motion())
+    _closed = False
 
     def add(self, values: np.ndarray, lines: Sequence[str]) -> None:
         """Add samples."""
@@ -145,22 +138,10 @@ class DrillSteps(MotionSteps):
         return f"{name}-{again + 1}" if again else name
 
 
-class WaveSteps(MotionSteps):
+class WaveSteps(MotionSteps[WaveWatch]):
     """A unit that is waved until it has pointed all faces up, for long enough, and as often again as is needed."""
 
-    def __init__(
-        self,
-        interval: float,
-        gravity: float,
-        names: tuple[str, ...],
-        seconds: float,
-        until: Sequence[Wanted],
-        write: Callable[[Parts, Path], object],
-    ) -> None:
-        """Begin; `interval` between samples, s, local gravity, m/s², and the names of the channels."""
-        super().__init__(seconds, until, write)
-        self._watch, self._rounds = WaveWatch(interval, gravity, names), 1
-        self._now = replace(self._now, ask=self.next_motion())
+    _rounds = 1
 
     def add(self, values: np.ndarray, lines: Sequence[str]) -> None:
         """Add samples."""

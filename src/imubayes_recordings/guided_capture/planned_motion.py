@@ -22,7 +22,8 @@ TURNS = tuple((axis, sense) for axis in "xyz" for sense in ("forward", "reverse"
 _RATE = 2 * np.pi * 0.75  # rad/s of a drill
 _TUMBLE = (0.31, 0.23, 0.17)  # rad/s by which a hand turns the unit about three axes, on the whole
 _SWAY = ((0.07, 0.9), (0.05, 2.0), (0.09, 0.0))  # Hz and phase of what it turns besides, by a radian
-_HAND = 0.03  # m/s^2 that hand or drill accelerate the unit: 3 mg, as the prior of `hand_acceleration`
+HAND = 0.03
+"""Acceleration of hand or drill that is assumed, m/s²: 3 mg, as the prior of `hand_acceleration`."""
 
 
 def expected_of_plan(
@@ -93,4 +94,4 @@ def _readings(attitude: Any, interval: float, gravity: float) -> np.ndarray:
     slow = np.random.default_rng(2).standard_normal((len(force) // 25 + 2, 3))
     place = np.arange(len(force)) / 25
     moved = np.stack([np.interp(place, np.arange(len(slow)), column) for column in slow.T], axis=1)
-    return np.hstack([force + _HAND * moved, rate])
+    return np.hstack([force + HAND * moved, rate])

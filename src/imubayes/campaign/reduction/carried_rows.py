@@ -168,7 +168,7 @@ def refuse_short(seconds: float, file: str) -> None:
     if seconds < LEAST_SECONDS:
         raise input_error(
             f"the log holds {seconds:.3g} s of motion without gaps and clipped samples",
-            file, f"{LEAST_SECONDS:g} s or more in one piece; some minutes in all attitudes are recommended",
+            file, f"{LEAST_SECONDS:g} s or more in all; some minutes in all attitudes are recommended",
             "record for longer, within the ranges of all channels",
         )  # fmt: skip
 
