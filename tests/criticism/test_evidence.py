@@ -167,11 +167,28 @@ def test_a_state_beside_white_noise_whitens_as_its_covariance_does(structure: St
     assert log_det == pytest.approx(-0.5 * RUNS * np.linalg.slogdet(own)[1])
 
 
-def test_variants_share_the_prior_of_their_effect() -> None:
+def of_two_parameters(residual: np.ndarray) -> LinearProblem:
+    """Return the same problem in which the first two effects are two parameters of one."""
+    made = problem(residual)
+    one, other, *rest = made.candidates
+    second = [replace(each, parameter=replace(each.parameter, field="m")) for each in other.coefficients]
+    both = replace(one, coefficients=(*one.coefficients, *second))
+    return replace(made, candidates=(both, *rest))
+
+
+@pytest.mark.parametrize("make", [problem, of_two_parameters])
+def test_variants_share_the_prior_of_their_effect(make) -> None:
     of_effect: dict[str, float] = {}
-    for each in effect_variants(problem(drawn(1))):
+    for each in effect_variants(made := make(drawn(1))):
         of_effect[each.effect] = of_effect.get(each.effect, 0.0) + math.exp(each.log_odds)
-    assert list(of_effect.values()) == pytest.approx([1 / len(EFFECTS)] * len(EFFECTS))
+    assert list(of_effect.values()) == pytest.approx([1 / len(made.candidates)] * len(made.candidates))
+
+
+def test_one_parameter_on_one_channel_is_named_by_itself() -> None:
+    search = ModelSearch(of_two_parameters(drawn(3, {("scale_cubic", 1): 0.5}))).run()
+    [variant] = search.best().hypothesis.variants
+    [place] = search.of.variants[variant].places
+    assert (search.of.problem.coefficients[place].parameter.field, search.of.variants[variant].owners) == ("m", ("gy",))
 
 
 @pytest.mark.parametrize("signed", [False, True])
@@ -254,6 +271,15 @@ def test_a_record_that_scatter_between_runs_absorbs_is_looked_for_beside_the_lea
     best = ModelSearch(made).run([wrong_record("offset", shape, 1.0)]).best().hypothesis
     assert best.form is not None
     assert all(noise.scatter == 0.3 for noise in best.noise)
+
+
+def test_rows_quieter_than_their_samples_lack_nothing() -> None:
+    """A vibration averages out within a row; no effect takes noise away."""
+    found = evidence_of(searched(0.5 * drawn(7), forms=False))
+    assert found.leading.kind == "nothing"
+    assert found.leading.probability > 0.8
+    [noise] = found.noise
+    assert noise.scale < 0.6
 
 
 def test_noise_of_another_size_is_noise_and_no_effect() -> None:

@@ -141,6 +141,20 @@ def test_what_drives_a_run():
     assert driver(made.tumble_residuals()).name == "row"
 
 
+def test_a_table_that_swings_is_shown_over_time_on_a_linear_axis():
+    frame = made.trihedral_residuals(temperatures=(25,))
+    own = frame.filter(pl.col("run") == "rate-x-up-25C")
+    one = own.filter(pl.col("channel") == own["channel"][0])
+    turn = np.linspace(0.0, 20.0, 60 * one.height)
+    swung = pl.concat([one] * 60).with_columns(
+        pl.Series("time_s", turn), pl.Series("table_rate_deg_s", 40 * np.sin(turn)), pl.Series("table_angle_deg", turn)
+    )
+    assert driver(swung).name == "time"
+    axes = Picture().add_subplot()
+    set_abscissa(axes, 40 * np.sin(turn), covariate("table_rate"))
+    assert axes.get_xscale() == "linear"
+
+
 def test_thirty_five_runs(residuals):
     many = made.trihedral_residuals(temperatures=(-40, -20, 25, 40, 60))
     assert_readable(residual_figure(many, "row"))

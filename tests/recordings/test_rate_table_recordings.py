@@ -12,10 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import imubayes
+from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.model_file import read_model
 from imubayes_recordings.convert import convert, read_recordings
+from motion_table import SEATS as MOTION_SEATS
+from motion_table import Unit as MovingUnit
+from motion_table import recorded
 
 LATITUDE, EARTH = np.radians(48.0), 15.041067 / 3600  # rad, deg/s
 RATE_HZ, LEVEL_S, NOISE = 20.0, 40, 0.02
@@ -116,6 +121,37 @@ def test_gravity_tells_in_which_sense_the_rate_is_counted(tmp_path, forces, elev
     file = Unit(3).record(tmp_path / "log.csv", SEATS[4], forces=forces)
     made = read([file], accel_unit="m/s^2").document
     assert made["table"][0]["elevation_deg"] == elevation
+
+
+def swept(folder: Path) -> list[Path]:
+    """Write logs of a table with an encoder that never rests, about a vertical and about a level axis."""
+    random, files = np.random.default_rng(8), [folder / "vertical.csv", folder / "level.csv"]
+    for file, elevation in zip(files, (90.0, 0.0), strict=True):
+        log = recorded(MovingUnit(), MOTION_SEATS["trihedral"], np.radians(elevation), 20.0, "mixed", random)
+        log.write_csv(file)
+    return files
+
+
+def test_each_elevation_of_an_axis_is_a_table_and_its_encoder_is_followed(tmp_path):
+    made = read_recordings(swept(tmp_path), latitude_deg=48.0).campaign.document
+    tables = {each["name"]: each["elevation_deg"] for each in made["table"]}
+    assert tables == {"bench-vertical": 90.0, "bench-level": 0.0}
+    assert [each["table"] for each in made["run"]] == list(tables)
+    assert all(each["transitions"] for each in made["run"])
+    assert "vertical in 1 recording and level in 1 recording" in " ".join(made["notes"])
+
+
+@pytest.mark.slow  # determines what the runs show
+def test_new_writes_a_model_of_lags_and_clock_for_a_table_in_motion(tmp_path):
+    assert run(["new", str(tmp_path / "swept"), *map(str, swept(tmp_path)), "--latitude-deg", "48"]) == 0
+    campaign = imubayes.load_campaign(tmp_path / "swept")
+    assert all((each.covariates["row_seconds"] > 0).mean() > 0.9 for each in campaign.runs)
+    effects = {each.name: each for each in read_model(tmp_path / "swept" / "model.toml").effects}
+    assert {"gyro_scale_factor", "gyro_g_sensitivity", "time_skew", "encoder_noise"} <= set(effects)
+    assert dict(effects["gyro_bandwidth"].prior) == {"tau": "lognormal(1.5 ms, 1)"}
+    # Beside the clock the lags are of the sensors, not of the noise.
+    before_noise = (tmp_path / "swept" / "model.toml").read_text().partition("# noise")[0]
+    assert all(f'name = "{name}"' in before_noise for name in ("gyro_bandwidth", "accel_bandwidth", "time_skew"))
 
 
 def test_a_seat_is_not_read_from_gyros_of_another_unit(tmp_path):

@@ -333,7 +333,8 @@ def _refuse_transitions(source: TableSource, entry: RunEntry, survey: _Survey) -
     if not PROCEDURES[entry.procedure].followed:
         raise input_error(
             f"rows of procedure {entry.procedure} in run '{entry.name}' do not follow a motion",
-            where, "transitions = true for a run of rate_table, on a table of one axis", "remove the key",
+            where, "transitions = true for a run of rate_table, on a table of one axis",
+            "remove the key; on several axes move one, hold the others, and state a [[table]] of the one that moves",
         )  # fmt: skip
     if source.layout.reduced or not source.layout.has(ANGLE_COLUMN) or blocks is None or blocks.interval is None:
         raise input_error(

@@ -16,6 +16,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.error_model import TABLE_UNSTATED
 from imubayes.foundations.campaign_data import PRESETS
 from imubayes.foundations.earth import towards
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, TABLE_RATE
 from imubayes_recordings.convert.recorded_runs import RecordedRun, still_seconds
 from imubayes_recordings.convert.stated_turns import BODY_TO_TABLE
@@ -25,6 +26,7 @@ LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in it
 _NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit measure in all
 _DESIGN = np.cos(np.radians(3.0))  # of the angle to a direction that is taken for the design of a seat
 _SAME = np.cos(np.radians(0.1))  # of the angle between two recordings in one seat; anew in it, a unit sits otherwise
+_ATTITUDES = {90.0: "vertical", -90.0: "inverted", 0.0: "level"}  # of the table axis, by its elevation, deg
 _UPRIGHT = 0.5  # share of g along the table axis from which on it is taken for vertical
 _NOBODY = "the azimuth and the level of the {} are not stated: any azimuth, and a tilt of {:g} deg, are assumed"
 
@@ -71,14 +73,17 @@ def lying(runs: Sequence[RecordedRun], *, seated: bool) -> Stand:
 
 
 def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
-    """Return the stand of recordings on a rate table.
+    """Return the stand of recordings on a rate table; each elevation of its axis is a table by itself.
 
     Parameters
     ----------
     rates : for each run, shape (N, G), of its gyros x, y, z at their nominal scale, deg/s.
     """
     axes: list[np.ndarray] = []
-    mountings, seats, notes, upright = [], [], [_NOBODY.format("table", math.degrees(TABLE_UNSTATED))], []
+    mountings: list[dict[str, Any]] = []
+    seats: list[str] = []
+    elevations: list[float | None] = []
+    notes = [_NOBODY.format("table", math.degrees(TABLE_UNSTATED))]
     for run, rate in zip(runs, rates, strict=True):
         found = _table_axis(run, rate)
         axis = np.array([0.0, 0.0, 1.0]) if found is None else found
@@ -91,16 +96,32 @@ def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
                 direction = ", ".join(f"{each:.3f}" for each in axis)
                 told = "by the nominal scale factors of the gyros; 1 deg is assumed for it"
                 notes.append(f"{name}: the table axis is ({direction}) in body axes, {told}")
-        seats.append(_seat(mountings[place]["name"]))
-        upright.append(_upright(run, axis))
-    elevation = next((each for each in upright if each is not None), 90.0)
-    level = round(3600 * math.degrees(TABLE_UNSTATED), 3)
-    table = PUT_ANYHOW | {"elevation_deg": elevation, "axis_uncertainty_arcsec": level, "name": "bench"}
-    return Stand([table], mountings, seats, notes)
+        seats.append(mountings[place]["name"])
+        elevations.append(_upright(run, axis))
+    tables, names = _tables(elevations)
+    if len(tables) > 1:
+        of = [
+            f"{_ATTITUDES[each['elevation_deg']]} in {counted(names.count(each['name']), 'recording')}"
+            for each in tables
+        ]
+        notes.append(f"the table axis is {' and '.join(of)}, by the accelerometers: a table for each elevation")
+    return Stand(tables, mountings, [_seat(*each) for each in zip(seats, names, strict=True)], notes)
 
 
-def _seat(mounting: str) -> dict[str, str]:
-    return {"table": "bench", "mounting": mounting}
+def _tables(found: Sequence[float | None]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return one table for each elevation that was found, deg, and the name of the table of each recording."""
+    usual = next((each for each in found if each is not None), 90.0)
+    elevations = [usual if each is None else each for each in found]
+    distinct, level = list(dict.fromkeys(elevations)), round(3600 * math.degrees(TABLE_UNSTATED), 3)
+    names = {each: f"bench-{_ATTITUDES[each]}" if len(distinct) > 1 else "bench" for each in distinct}
+    tables = [
+        PUT_ANYHOW | {"elevation_deg": each, "axis_uncertainty_arcsec": level, "name": names[each]} for each in distinct
+    ]
+    return tables, [names[each] for each in elevations]
+
+
+def _seat(mounting: str, table: str = "bench") -> dict[str, str]:
+    return {"table": table, "mounting": mounting}
 
 
 def _table_axis(run: RecordedRun, rate: np.ndarray) -> np.ndarray | None:

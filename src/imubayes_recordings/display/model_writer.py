@@ -15,7 +15,7 @@ from imubayes.inference.linear_information import STATION, of_equipment
 from imubayes.model.model_file import EffectSpec
 from imubayes.parameters.declarations import declared_parameters
 from imubayes.procedures import PROCEDURES, Procedure
-from imubayes_recordings.convert.proposed_effects import FURTHER, SENSORS, EffectProposal, ProposedEffect
+from imubayes_recordings.convert.proposed_effects import FURTHER, IN_MOTION, SENSORS, EffectProposal, ProposedEffect
 from imubayes_recordings.display.expected_lines import expected_lines
 
 _OF_CAMPAIGN = {
@@ -108,7 +108,7 @@ def commented_model(name: str, proposal: EffectProposal, runs: int) -> str:
         f"name = {tomlkit.item(name).as_string()}",
     ]
     purposes = (effect for procedure in PROCEDURES.values() for effect in procedure.purposes)
-    further = tuple(dict.fromkeys((*FURTHER, *purposes)))
+    further = tuple(dict.fromkeys((*FURTHER, *IN_MOTION, *purposes)))
     parts = (
         ("equipment and station, with the uncertainties that campaign.toml states", (*of_equipment(), *STATION)),
         ("the sensors", SENSORS),

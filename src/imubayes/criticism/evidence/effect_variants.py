@@ -113,14 +113,18 @@ def _variants(problem: LinearProblem, response: int, live: Sequence[int], log_od
     several = math.log(1 - ONE_OWNER) if len(owners) > 1 else 0.0
     whole = math.log(1 - ONE_PARAMETER) if len(fields) > 1 else 0.0
     found = [variant(live, whole + several)]
-    if len(fields) > 1:
-        part = math.log(ONE_PARAMETER / len(fields))
-        for places in fields.values():
-            shared = len({problem.coefficients[k].owner for k in places}) > 1
-            found.append(variant(places, part + (math.log(1 - ONE_OWNER) if shared else 0.0)))
     if len(owners) > 1:
         alone = math.log(ONE_OWNER / len(owners))
         found += [variant(places, whole + alone) for places in owners.values()]
+    if len(fields) > 1:
+        part = math.log(ONE_PARAMETER / len(fields))
+        for places in fields.values():
+            own: dict[str, list[int]] = {}
+            for k in places:
+                own.setdefault(problem.coefficients[k].owner, []).append(k)
+            found.append(variant(places, part + (math.log(1 - ONE_OWNER) if len(own) > 1 else 0.0)))
+            if len(own) > 1:
+                found += [variant(each, part + math.log(ONE_OWNER / len(own))) for each in own.values()]
     return found
 
 

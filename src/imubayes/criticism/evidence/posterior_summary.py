@@ -3,6 +3,9 @@
 Noise that the model leaves open is a nuisance, such as the scatter between runs: hypotheses that differ in it
 alone count once, by the most probable.  A search evaluates more sizes about its leader than about others, and their sum
 would favour it.
+
+Rows that scatter less than their samples say lack nothing: no effect takes noise away, and the fit has the scale of the
+rows.  A vibration averages out within a row, for example.
 """
 
 import math
@@ -13,9 +16,10 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.criticism import explanation_records as record
-from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, Hypothesis
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch, possible
+from imubayes.criticism.evidence.noise_structures import NoiseOfUnit, NoiseUnit
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import Responses
 
@@ -75,6 +79,22 @@ class ExplanationPosterior:
         taken = UNLISTED * self._imitating
         self.share, self.unlisted = share * (1 - taken), float(share @ taken)
 
+    def kind_of(self, found: Evaluated) -> record.Explanation:
+        """Return what kind of explanation a hypothesis is."""
+        form = found.hypothesis.form
+        if form is not None:
+            return "input" if form.form.wrong is not None else "outside"
+        if found.hypothesis.variants:
+            return "effects"
+        units = zip(self.of.units, found.hypothesis.noise, strict=True)
+        return "nothing" if all(noise.stated or self._is_less(unit, noise, found) for unit, noise in units) else "noise"
+
+    def _is_less(self, unit: NoiseUnit, noise: NoiseOfUnit, found: Evaluated) -> bool:
+        """Return whether noise is as known but for a smaller scale on each channel that differs."""
+        if noise.family != "scale" or noise.scatter not in {each.scatter for each in unit.stated}:
+            return False
+        return all(found.scale[k] < 1 for k in self._unlike_known(unit.channels, found))
+
     def _beside_excess(self, found: Evaluated) -> bool:
         """Return whether effects stand beside noise of the rows above what is known."""
         units = zip(self.of.units, found.hypothesis.noise, strict=True)
@@ -96,7 +116,7 @@ class ExplanationPosterior:
 
     @cached_property
     def _explanations(self) -> tuple[record.ProbableExplanation, ...]:
-        kinds = [kind_of(each.hypothesis) for each in self.distinct]
+        kinds = [self.kind_of(each) for each in self.distinct]
 
         def explanation(kind: record.Explanation) -> record.ProbableExplanation:
             here = np.array([each == kind for each in kinds])
@@ -117,7 +137,7 @@ class ExplanationPosterior:
     @cached_property
     def top(self) -> Evaluated:
         """The most probable hypothesis of the leading kind."""
-        mine = [each for each in self.distinct if kind_of(each.hypothesis) == self.leading]
+        mine = [each for each in self.distinct if self.kind_of(each) == self.leading]
         return max(mine, key=lambda each: each.log_posterior)
 
     @cached_property
@@ -193,7 +213,7 @@ class ExplanationPosterior:
     @cached_property
     def wrong_inputs(self) -> tuple[tuple[float, Evaluated], ...]:
         """Wrong inputs near the most probable, with their probabilities among them; empty without one."""
-        found = [each for each in self.distinct if kind_of(each.hypothesis) == "input"]
+        found = [each for each in self.distinct if self.kind_of(each) == "input"]
         best = max((each.log_posterior for each in found), default=-math.inf)
         near = sorted(
             (each for each in found if each.log_posterior > best - record.NEAR), key=lambda e: -e.log_posterior
@@ -243,16 +263,16 @@ class ExplanationPosterior:
         names = [each.name for each in self.of.problem.rows]
         for unit, noise in zip(self.of.units, self.top.hypothesis.noise, strict=True):
             if not noise.stated:
-                own = self._unlike_known(unit.channels) if noise.family == "scale" else unit.channels
+                own = self._unlike_known(unit.channels, self.top) if noise.family == "scale" else unit.channels
                 scale = float(np.exp(np.mean(np.log(self.top.scale[list(own)]))))
                 channels = tuple(names[k] for k in own)
                 yield record.FoundNoise(channels=channels, family=noise.family, scale=scale)
 
-    def _unlike_known(self, channels: Sequence[int]) -> Sequence[int]:
+    def _unlike_known(self, channels: Sequence[int], at: Evaluated) -> Sequence[int]:
         """Return the channels of a structure whose noise is not as known; all if none stands out."""
         rows = self.of.problem.rows
         sd = {k: math.hypot(rows[k].scale_sd, math.sqrt(0.5 / max(len(rows[k].entry), 1))) for k in channels}
-        found = [k for k in channels if abs(math.log(self.top.scale[k])) > _STANDS_OUT * sd[k]]
+        found = [k for k in channels if abs(math.log(at.scale[k])) > _STANDS_OUT * sd[k]]
         return found or channels
 
 
@@ -269,15 +289,6 @@ def estimates(
         )
         for k, value, square in zip(places, mean, variance, strict=True)
     )
-
-
-def kind_of(hypothesis: Hypothesis) -> record.Explanation:
-    """Return what kind of explanation a hypothesis is."""
-    if hypothesis.form is not None:
-        return "input" if hypothesis.form.form.wrong is not None else "outside"
-    if hypothesis.variants:
-        return "effects"
-    return "nothing" if all(each.stated for each in hypothesis.noise) else "noise"
 
 
 def _distinct(known: Iterable[Evaluated]) -> list[Evaluated]:

@@ -19,6 +19,7 @@ from imubayes.foundations.covariates import Covariate, shown
 from imubayes.procedures import Procedure, procedure_named
 
 _PITCH = 3.0
+_SAME_LEVEL, _MOST_LEVELS = 0.01, 30  # share of the largest rate within which rates are one level; levels of a test
 _MODEL_BAND = "#f3c9a8"
 _GOOD = (
     "Upper panels: measurement and model. Lower panels: residual in input units. In a good model 95 % of the points "
@@ -76,14 +77,29 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
 
 
 def driver(recorded: pl.DataFrame) -> Covariate:
-    """Return what drives a run: the covariate its procedure varies, as far as it is there and varies."""
+    """Return what drives a run: the covariate its procedure varies, as far as it is there and varies.
+
+    Of a table that swings neither rate nor angle alone drives all channels: its rows follow one another in time.
+    """
     keys = (*_procedure(recorded).abscissae, *(each.name for each in shown()))
+    if _swings(recorded):
+        keys = ("time", *keys)
     for key in dict.fromkeys(keys):
         known = covariate(key)
         values = residual_columns.numbers(recorded, known.column)
         if key == "row" or (residual_columns.varies(values) and np.isfinite(values).mean() > 0.9):
             return known
     return covariate("row")
+
+
+def _swings(recorded: pl.DataFrame) -> bool:
+    """Return whether the rows have an angle while the table turns, at rates that are no levels."""
+    own = recorded.filter(pl.col("channel") == recorded["channel"][0])
+    rate, angle = (residual_columns.numbers(own, f"table_{name}") for name in ("rate_deg_s", "angle_deg"))
+    turning = np.isfinite(rate) & (rate != 0)
+    if not np.isfinite(angle[turning]).sum() > len(rate) / 2:
+        return False
+    return len(np.unique(np.round(rate[turning] / np.abs(rate[turning]).max() / _SAME_LEVEL))) > _MOST_LEVELS
 
 
 def _procedure(recorded: pl.DataFrame) -> Procedure:

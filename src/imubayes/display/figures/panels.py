@@ -16,6 +16,7 @@ from imubayes.foundations.covariates import Covariate
 
 # Ratio of the largest to the smallest rate beyond which a linear axis would crowd the small ones.
 _WIDE = 30.0
+_FEW = 0.05  # share of the rates that may be smaller than the smallest decade
 _MOST_DECADES = 6  # of a logarithmic axis: Earth rate beside 1000 deg/s; smaller values are about its zero
 _MOST_LEVELS, _LEAST = 26, 4
 _POINTS = 4000
@@ -53,8 +54,10 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
     sizes = np.abs(finite[finite != 0])
-    if covariate.unit == "deg/s" and sizes.size and sizes.max() > _WIDE * sizes.min():
-        least, most = np.floor(np.log10(sizes.min()) + 1e-9), np.ceil(np.log10(sizes.max()))
+    # A table that swings passes through zero: a few rates that happen to be small are no decades.
+    smallest = float(np.quantile(sizes, _FEW, method="lower")) if sizes.size else np.inf
+    if covariate.unit == "deg/s" and sizes.size and sizes.max() > _WIDE * smallest:
+        least, most = np.floor(np.log10(smallest) + 1e-9), np.ceil(np.log10(sizes.max()))
         smallest = 10.0 ** max(least, most - _MOST_DECADES)
         set_symlog(axes, "x", smallest, 9 if most - least < _MOST_DECADES else 6)
         if most - least >= _MOST_DECADES:

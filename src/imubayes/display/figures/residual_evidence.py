@@ -48,7 +48,8 @@ def recorded_noise_figure(record: KnownNoise, signs: style.RunSigns | None = Non
         f"Left: residual of each row of {worst.channel} in standard deviations of a row's mean as recorded, in the "
         "order of the runs (colours); grey: ±2 sd. In a good model 5 % of the rows lie outside and no pattern shows; "
         f"here {100 * outside:.0f} % lie outside. Right: fitted over recorded noise with ±2 standard uncertainties; in "
-        "a good model 1. A ratio above 1 is scatter from row to row that the samples within a row do not show."
+        "a good model 1. A ratio above 1 is scatter from row to row that the samples within a row do not show; below 1 "
+        "scatter of the samples, such as a vibration, averages out within a row."
     )
     title = f"Fitted noise of {worst.channel} is {value} ± {sd} times the recorded noise"
     figure = style.picture(11.5, 3.5, title, caption)

@@ -205,6 +205,11 @@ def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
         yield f"The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)})."
         if rest:
             yield f"The fitted noise of {counted(rest, 'other channel')} also differs from the known noise."
+        if worst.source == "samples" and all(each.ratio < 1 for each in apart):
+            yield (
+                "Rows that scatter less than their samples hide no effect: within a row something averages out, such "
+                "as a vibration. The uncertainties follow from the scatter of the rows."
+            )
     disagreeing = {(each.run, each.row) for each in found.disagreeing}
     outliers = [each for each in found.outliers if (each.run, each.row) not in disagreeing]
     if outliers:
