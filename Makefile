@@ -11,6 +11,8 @@ COMPILE = $(UV) pip compile --quiet --universal --python-version 3.12 --python $
 INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
+# Whatever the user's settings: compiling the package and its tests anew takes longer than most commands and tests.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help setup demo archive-demo test types tests test-fast laws study release-check bench docs data lock clean
 .DEFAULT_GOAL := help
@@ -52,9 +54,8 @@ types: $(READY)
 tests: $(READY)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-# Bytecode of the tests is kept, whatever the user's settings: compiling it takes longer than most tests.
 test-fast: $(READY)
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not compiled"
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not compiled"
 
 laws: $(READY)
 	$(BIN)/pytest -n 2 -m "slow or not slow" $(if $(EFFECT),-k "$(EFFECT)") tests/conformance

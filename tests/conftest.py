@@ -1,5 +1,6 @@
 """Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked."""
 
+import functools
 import gc
 import os
 import sys
@@ -212,6 +213,7 @@ def pytest_collection_modifyitems(items):
     gc.freeze()
 
 
+@functools.cache
 def _weight(file: Path) -> int:
     """Return the place of a file among those that compile, by its longest entry; their number if it does not."""
     path = Path(os.path.relpath(file, Path(__file__).parent)).as_posix()

@@ -11,7 +11,9 @@ import jax
 import jaxtyping
 from beartype import BeartypeConf, beartype
 from beartype.claw import beartype_packages
+from beartype.claw._ast.clawastmain import BeartypeNodeTransformer
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 # An int stands if a float is asked for (PEP 484).
 CONFIGURATION = BeartypeConf(is_pep484_tower=True)
@@ -61,6 +63,8 @@ def shaped(checked_item: Any = None, *, typechecker: Callable) -> Any:
     """Decorate a function, or the constructor of a record, as `jaxtyping.jaxtyped` does, for a sample of its calls."""
     if checked_item is None:
         return functools.partial(shaped, typechecker=typechecker)
+    if "<locals>" in checked_item.__qualname__:
+        return checked_item
     plain = checked_item.__init__ if isinstance(checked_item, type) else checked_item
     decorated = _JAXTYPED(checked_item, typechecker=typechecker)
     if not isinstance(decorated, type):
@@ -71,6 +75,16 @@ def shaped(checked_item: Any = None, *, typechecker: Callable) -> Any:
 
 
 _JAXTYPED = jaxtyping.jaxtyped
+
+
+def _unless_nested(visit: Callable) -> Callable:
+    """Return a visitor of functions that passes over nested ones: they would be decorated anew at every outer call."""
+
+    def visited(self, node):
+        outermost = self._scopes.is_scope_module or self._scopes.is_scope_class
+        return visit(self, node) if outermost else self.generic_visit(node)
+
+    return visited
 
 
 def modules(source: Path, shaped: bool) -> tuple[str, ...]:
@@ -94,10 +108,13 @@ def be_strict() -> None:
     # The same examples every time, and no clock: a first call compiles.
     settings.register_profile("tests", derandomize=True, deadline=None, max_examples=50)
     settings.load_profile("tests")
+    # Constants of the source would be collected at each start, and any edit of the source would change the examples.
+    providers._get_local_constants = lambda: providers._local_constants
     for package in IMPORTED_FIRST:
         import_module(package)
     # Beartype alone is a tenth of the cost if no shapes are declared.
     source = Path(__file__).parents[1] / "src"
     jaxtyping.jaxtyped = shaped
     jaxtyping.install_import_hook(modules(source, shaped=True), "strict_types.checked")
+    BeartypeNodeTransformer.visit_FunctionDef = _unless_nested(BeartypeNodeTransformer.visit_FunctionDef)
     beartype_packages(modules(source, shaped=False), conf=CONFIGURATION)
