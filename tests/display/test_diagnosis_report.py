@@ -141,7 +141,7 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
         )
         assert "Write 25.13 in column 'temperature_degC', row 3 of run 'A' if the record confirms it" in said
         assert said.endswith("or leave the row out; then fit again.")
-    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11" in said
+    assert "It would agree as well given table_rate_deg_s times 1.10 ± 0.11" in said
     assert "Alternatively the record of B is wrong." in said
 
 
