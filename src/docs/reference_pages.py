@@ -239,8 +239,8 @@ def symbol_pages() -> Pages:
         + table(("column", "unit", "symbol", "meaning", "origin"), columns)
     )
     findings = (
-        "# Findings\n\nFindings of `imubayes check` and of the set-up gate of `imubayes fit`. A campaign accepts "
-        'those about its set-up by name, `accepted = ["table_zero"]`.\n\n'
+        "# Findings\n\nFindings of `imubayes check`, and of the check of the set-up that `imubayes fit` makes first. A "
+        'campaign accepts those about its set-up by name, `accepted = ["table_zero"]`.\n\n'
         + table(
             ("finding", "meaning", "can be accepted"),
             [(f"`{name}`", meaning, "yes" if name in SETUP_FINDINGS else "") for name, meaning in FINDINGS.items()],

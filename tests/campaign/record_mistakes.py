@@ -44,7 +44,7 @@ def heater_off(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
         return None
     recorded = true + draw.choice([-1, 1]) * draw.uniform(25, 40)
     changed(files, run, "temperature_degC", lambda _: recorded)
-    return (f"run '{run['name']}'", "would agree with temperature_degC about")
+    return (f"run '{run['name']}'", "would agree with the other runs given temperature_degC about")
 
 
 def temperatures_exchanged(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -72,7 +72,7 @@ def other_unit(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
         bias = draw.choice([-1, 1]) * draw.uniform(0.02, 0.05) * scale
         bias *= 1.0 if channel["kind"] == "accelerometer" else 20.0
         changed(files, run, str(channel["name"]), lambda x, ppm=ppm, bias=bias: (1 + ppm) * x + bias)
-    return (f"run '{run['name']}' would agree with errors of its own in all channels",)
+    return (f"run '{run['name']}' would agree with the other runs given errors of its own in all channels",)
 
 
 def rate_without_sign(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -168,7 +168,10 @@ def rate_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] | Non
     runs = files.of("rate_table")
     run, factor = runs[draw.integers(len(runs))], float(draw.choice([2.0, 3.0]))
     changed(files, run, "table_rate_deg_s", lambda rate: factor * rate)
-    return (f"run '{run['name']}' would agree with table_rate_deg_s times {1 / factor:.2g}", "its output of")
+    return (
+        f"run '{run['name']}' would agree with the other runs given table_rate_deg_s times {1 / factor:.2g}",
+        "its output of",
+    )
 
 
 def decimal_of_a_rate(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
@@ -216,7 +219,10 @@ def column_in_volt(files: Files, draw: np.random.Generator) -> tuple[str, ...] |
     """Write the column of a channel of which an offset is stated in V, not mV, in one run."""
     run = files.runs[draw.integers(len(files.runs))]
     changed(files, run, "g1", lambda values: values / 1000)
-    return (f"run '{run['name']}' would agree with its output of g1 times 1000", "multiply column 'g1'")
+    return (
+        f"run '{run['name']}' would agree with the other runs given its output of g1 times 1000",
+        "multiply column 'g1'",
+    )
 
 
 def sign_about_an_offset(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:

@@ -74,9 +74,9 @@ def test_degrees_fahrenheit_are_named_where_they_do_as_well_as_any_value(tmp_pat
     [
         (
             "temperatures-exchanged",
-            "run 'x-up_cold' would agree with temperature_degC exchanged with that of run x-up_room",
+            "given temperature_degC exchanged with that of run 'x-up_room'",
         ),
-        ("unit2-file", "run 'x-up_room' would agree with errors of its own in all channels"),
+        ("unit2-file", "run 'x-up_room' would agree with the other runs given errors of its own in all channels"),
         ("rate-without-sign", "rates in run 'x-up_room' are recorded without their sign"),
     ],
 )

@@ -32,17 +32,17 @@ def found_in(folder: Path, name: str, runs: tuple[str, ...], column: str, change
     [
         (
             "multi-axis-table", "held", "middle_angle_deg", lambda x: np.where(np.arange(20) == 12, x + 90, x),
-            "row 13 of run 'held' would agree with middle_angle_deg = 90|row 13 of run 'held' would agree with "
-            "middle_angle_deg = 89.99",
+            "row 13 of run 'held' would agree with the other rows given middle_angle_deg = 90|"
+            "row 13 of run 'held' would agree with the other rows given middle_angle_deg = 89.99",
         ),
         (
             "trihedral-imu", "head-z-up-minus10C", "temperature_degC", np.abs,
-            "run 'head-z-up-minus10C' would agree with temperature_degC about -11.180 °C on average (recorded: 11.180)"
-            ", as if with the opposite sign",
+            "run 'head-z-up-minus10C' would agree with the other runs given temperature_degC "
+            "about -11.180 °C on average (recorded: 11.180), as if with the opposite sign",
         ),
         (
             "trihedral-imu", "rate-x-up-25C", "samples", lambda count: 100 * count,
-            "run 'rate-x-up-25C' would agree with about 10",
+            "run 'rate-x-up-25C' would agree with the other runs given about 10",
         ),
     ],
 )  # fmt: skip

@@ -132,7 +132,7 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
     found = diagnosis("run_disagrees", probability).model_copy(update={"disagreeing": (wrong,)})
     said = sentence(found)
     if row is None:
-        assert said.startswith("Run A does not agree with the other runs. It would agree with temperature_degC about")
+        assert said.startswith("Run A does not agree with the other runs. It would agree given temperature_degC about")
         assert "Add +5.13 to column 'temperature_degC' of run 'A' if the record confirms it" in said
         assert said.endswith("or leave the run out; then fit again.")
     else:
@@ -141,7 +141,7 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
         )
         assert "Write 25.13 in column 'temperature_degC', row 3 of run 'A' if the record confirms it" in said
         assert said.endswith("or leave the row out; then fit again.")
-    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11" in said
+    assert "It would agree as well given table_rate_deg_s times 1.10 ± 0.11" in said
     assert "Alternatively the record of B is wrong." in said
 
 

@@ -61,8 +61,10 @@ def _said(record: WrongRecord, own: DoubtedRun | None, others: Sequence[str]) ->
     best = own.causes[0]
     if any(record.agrees_with(each) for each in own.causes[1:]):
         return "weighed against the model, this agrees as well"
-    verb = "the model agrees" if record.agrees_with(best) else "weighed against the model, the run would agree instead"
-    return f"{verb}: {agreement_text(best)}"
+    if agreement_text(record) == agreement_text(best):
+        return "a fit of the model gives the same"
+    same = record.agrees_with(best)
+    return f"a fit of the model gives {'' if same else 'instead '}{agreement_text(best)}"
 
 
 def _found(doubted: DoubtedRun) -> Finding:
@@ -71,7 +73,8 @@ def _found(doubted: DoubtedRun) -> Finding:
     what = f"the other runs do not predict run '{doubted.run}' at the noise known beforehand"
     remedy = "`imubayes diagnose` weighs missing effects as well as wrong records, after a fit"
     if causes:
-        what = f"run '{doubted.run}' would agree with {', or with '.join(agreement_text(each) for each in causes)}"
+        given = ", or given ".join(agreement_text(each) for each in causes)
+        what = f"run '{doubted.run}' would agree with the other runs given {given}"
         what += ", weighed against the model"
         remedy = f"{record_remedy(causes[0])}; {remedy}"
     return Finding(

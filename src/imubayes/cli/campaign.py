@@ -45,8 +45,8 @@ def check(
     campaign
         Folder with campaign.toml.
     model
-        Model file to check against the campaign, or the name of a shipped model. A wrong record of a run
-        is weighed against it as well, as in a fit.
+        Model file to check against the campaign, or the name of a shipped model. check then also fits the model, and
+        lists runs whose record disagrees with it.
     fix
         Folder to write: a copy with the corrections that need no further fact (spelling of keys, words and columns,
         order of rows in time), which is checked in place of the campaign.

@@ -340,8 +340,8 @@ def _explanation(beyond: Sequence[ComparedEstimate], unexplained: int) -> str:
     gives = " and ".join([f"neglects {named}", *_at_own_temperature(beyond)])
     how_many = f"{explained} are" if unexplained else "All are"
     said = (
-        f"{how_many} explained: the classical evaluation {gives}. The classical evaluation of the outputs that "
-        "the joint fit predicts gives the same values within noise and run offsets."
+        f"{how_many} explained: the classical evaluation {gives}. Applied to the outputs that the joint fit "
+        "predicts, it gives the same values within noise and run offsets."
     )
     rest = (
         f" {unexplained} are not: the measured outputs of these runs deviate from the fit (imubayes diagnose RESULT)."

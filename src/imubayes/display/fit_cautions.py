@@ -249,7 +249,7 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
         return (
-            f"{said}. Run {doubted[0].run} would agree with {'; or with '.join(causes)}: "
+            f"{said}. Run {doubted[0].run} would agree given {'; or given '.join(causes)}: "
             f"{record_remedy(doubted[0].causes[0])}. `{command}` compares this with missing effects.",
         )
     return (

@@ -67,7 +67,7 @@ def _parse(unit: str, where: str, own: Mapping[str, float]) -> tuple[float, int,
         elif name in _UNITS:
             scale, gravity, exponents = _UNITS[name]
         else:
-            remedy = "write the unit with names from the table, joined by '/' and '^', such as deg/h/g"
+            remedy = "write the unit with names of this list, joined by '/' and '^', such as deg/h/g"
             raise input_error(f"'{part}' is not a unit", where or f"unit '{unit}'", closest_first(part, _UNITS), remedy)
         power = int((match and match["power"]) or {"²": 2, "³": 3}.get((match and match["sup"]) or "", 1))
         power = power if position == 0 else -power

@@ -178,9 +178,9 @@ def _open_text(each: WrongRecord) -> str:
     recorded = significant(each.recorded, 5)
     match each.form:
         case "unit":
-            return "errors of its own in all channels: the run, or its file, is from another unit"
+            return "errors of its own in all channels, which means that the run, or its file, is from another unit"
         case "exchange":
-            return f"{each.quantity} exchanged with that of run {each.other}"
+            return f"{each.quantity} exchanged with that of run '{each.other}'"
         case "seat":
             return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
         case "output_offset":

@@ -66,10 +66,10 @@ def unknown_covariates_issue(effects: Sequence[str], runs: Sequence[str], missin
     listed = ", ".join(f"'{effect}'" for effect in effects)
     uncertain = " and ".join(f"{name}_uncertainty_degC" for name in missing if name in _WITH_UNCERTAINTY)
     return Issue(
-        f"{'run' if len(runs) == 1 else 'runs'} {', '.join(quoted)} without {named}, on which {listed} "
-        f"{'depends' if len(effects) == 1 else 'depend'}",
+        f"{'run' if len(runs) == 1 else 'runs'} {', '.join(quoted)} {'has' if len(runs) == 1 else 'have'} no {named}, "
+        f"on which {listed} {'depends' if len(effects) == 1 else 'depend'}",
         where,
-        "; ".join(remedy(name) for name in missing) + ": in every run",
+        "in every run, " + "; ".join(remedy(name) for name in missing),
         f"state {named} of {'the run' if len(runs) == 1 else 'these runs'}"
         f"{f', with {uncertain} unless it is known well' if uncertain else ''}; or leave {listed} out of the model, or "
         f"{', '.join(quoted)} out of the campaign",
@@ -308,7 +308,7 @@ def _not_observable(
         Issue(
             f"no run can show '{spec.name}': {why}",
             spec.where,
-            "effects of the inputs that the runs supply: " + ", ".join(sorted(set().union(*supplies))),
+            "effects that need no other inputs than " + ", ".join(sorted(set().union(*supplies))),
             "leave the effect out or mark it 'optional = true', or add a run that shows it",
         ),
         missing,

@@ -167,7 +167,7 @@ def _resolved(
     if factor is None and any(issue.where == ledger.where(*where) for issue in ledger.issues):
         return None
     if factor is None:
-        allowed = quantity.unit + (" with 'nominal' also ppm, %" if entry.nominal is None else ", ppm, %")
+        allowed = quantity.unit + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
         ledger.add(
             f"the unit '{entry.unit}' is not one of {quantity.name}",
             where,

@@ -150,7 +150,7 @@ def _check_limit(limit: LimitEntry, place: int, common: RuleEntry, ledger: Ledge
         ledger.issues += issues_of_rule(limit.rule, ledger.where(*where, "rule"))
     if (limit.rule or common).name == "global_risk" and limit.production is None:
         ledger.add(
-            f"the rule of '{limit.quantity}' is a global risk, which depends on the units that are tested",
+            f"the rule of '{limit.quantity}' is a global risk, which depends on the distribution of the production",
             where,
             "production = { mean = …, sd = … } in the unit of the limit",
             "add 'production', or choose a rule that needs none",

@@ -255,4 +255,6 @@ def _check(
         raise input_error(what, "lower, upper", "one of them, or lower < upper", "correct them")
     if rule == "global_risk" and production is None:
         allowed = "(mean, standard deviation) of the units tested"
-        raise input_error("a global risk depends on the units that are tested", "production", allowed, "state it")
+        raise input_error(
+            "a global risk depends on the distribution of the production", "production", allowed, "state it"
+        )

@@ -291,8 +291,8 @@ def report(
     spec
         Specification: limits and decision rules. Without one nothing is decided.
     certificate
-        Certificate block: laboratory, customer, method, standards, signatories (`imubayes schema certificate`); that of
-        the specification if it has one.
+        Certificate block: laboratory, customer, method, standards, signatories (`imubayes schema certificate`). By
+        default that of the specification, if it contains one.
     annex
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.

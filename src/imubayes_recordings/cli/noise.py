@@ -37,7 +37,7 @@ def noise(
         Shortest averaging time in s that the terms have to describe; above 0 if a filter shapes the noise of
         single samples.
     sample_rate
-        Sampling rate in Hz of the raw data of those campaigns, for the priors; by default that of the record.
+        Sampling rate in Hz of the campaigns that will use noise-priors.toml; by default that of the record.
     robust
         Leave out stretches in which the unit did not rest: steps on the floor, a hand on the bench.
     as_json

@@ -124,7 +124,8 @@ def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
     """Return a row whose record is wrong, with what else would agree."""
     records = [each.wrong_record(campaign) for each in (found, *found.rivals)]
     best = records[0]
-    what = f"row {best.row} of run '{best.run}' would agree with {', or with '.join(map(agreement_text, records))}: "
+    given = ", or given ".join(map(agreement_text, records))
+    what = f"row {best.row} of run '{best.run}' would agree with the other rows given {given}: "
     what += f"as recorded, it is off by {found.distance:.2g} standard deviations of the other rows"
     where = f"{places.table(found.run)}, row {best.row}, column '{best.quantity}'"
     return Finding(
@@ -148,15 +149,16 @@ def _explained(
         evidence += f", but the outputs do not distinguish it from {first.mistake.passes_for}"
     remedy = words.remedy
     if others:
-        what = f"the data cannot determine whether {what}"
+        what = f"the data cannot determine which of these is the mistake: {what}"
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
+    what += f"{';' if others else ':'} {evidence}"
     # Weaker evidence is said and stops nothing.
     sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; if the record is right, write accepted = ["{first.mistake.kind}"] in campaign.toml'
     return Finding(
-        first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy, records[0]
+        first.mistake.kind, severity, run, what, words.where, words.allowed, remedy, records[0]
     )  # fmt: skip
 
 

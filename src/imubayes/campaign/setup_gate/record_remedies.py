@@ -177,7 +177,7 @@ def issue_of(found: Explanation, record: WrongRecord, places: Places) -> Issue:
         where = places.line("run", record.run, "file")
     if record.other:
         where += f", and {places.table(record.other)}"
-    what = f"run '{record.run}' would agree with {agreement_text(record)}"
+    what = f"run '{record.run}' would agree with the other runs given {agreement_text(record)}"
     return Issue(what, where, _ALLOWED[record.form], correction(record))
 
 

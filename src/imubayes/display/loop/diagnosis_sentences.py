@@ -168,9 +168,9 @@ def _sentence(found: Disagreement, probability: float) -> str:
     best, *others = found.causes
     if best.form == "prior":
         return _prior_sentence(best, chance, adverb)
-    said += f" It would agree with {agreement_text(best)}."
+    said += f" It would agree given {agreement_text(best)}."
     if others:
-        said += f" It would agree as well with {'; or '.join(agreement_text(each) for each in others[:_MOST])}."
+        said += f" It would agree as well given {'; or '.join(agreement_text(each) for each in others[:_MOST])}."
     if found.instead:
         said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
     do = record_remedy(best)
