@@ -72,8 +72,6 @@ def table_motion(levels=LEVELS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         command.append(np.full(len(ramp) + round(SECONDS / STEP), level))
         last = level
     rate = np.concatenate(parts)
-    for _ in range(4):  # no table steps from one acceleration to another: four times a mean over a tenth of a second
-        rate = np.convolve(np.pad(rate, (50, 49), mode="edge"), np.full(100, 0.01), mode="valid")
     return np.concatenate(command), rate, np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * STEP)])
 
 
