@@ -73,7 +73,7 @@ def test_what_a_run_lacks_is_refused_by_name(name):
                 bind_effect(EffectSpec(name), grouping(covariate, run), Registry())
             (issue,) = refused.value.issues
             needed = [COVARIATES[need].column for need in EFFECTS[name].needs]
-            assert f"run '{run}' without" in issue.what
+            assert f"run '{run}' has no " in issue.what
             assert f"'{name}'" in issue.what
             assert any(column in issue.what for column in needed)
             assert f"'{name}' out of the model" in issue.remedy

@@ -145,7 +145,7 @@ def test_errors_that_the_data_bound_do_less_than_their_changes_suggest():
     assert changes is not None
     assert factors is not None
     assert "the data bound such an error" in changes.note
-    assert "that part of each error that the data leave undetermined" in factors.note
+    assert "that part of each error that the data do not determine" in factors.note
     assert "in proportion" not in factors.note
 
 

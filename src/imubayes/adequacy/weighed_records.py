@@ -31,6 +31,7 @@ from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.foundations.wrong_records import RATIO, WIDTHS, WrongRecord
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.parameter_fit import linearise
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
@@ -85,7 +86,7 @@ def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
 
     Empty if the runs agree with one another.
     """
-    return _weighed(_Weighing(fitted))
+    return _weighed(_Weighing(fitted)) if _predicts(fitted) else ()
 
 
 def _weighed(weighing: "_Weighing") -> tuple[WeighedRecord, ...]:
@@ -118,6 +119,8 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     the most probable is reported, with what the runs cannot distinguish from it; else the runs without which the others
     agree with one another.  If they do not, something is missing in the model and no run is to blame.
     """
+    if not _predicts(fitted):
+        return ()
     weighing = _Weighing(fitted)
     weighed = _weighed(weighing)
     if not weighed or weighed[0].log_odds < _TOLD or not weighing.explained_by(weighed[0]):
@@ -199,10 +202,18 @@ def _outputs(campaign: Campaign, wrong: WrongInput) -> str:
     return "outputs" if wrong.channel is None else campaign.channels[wrong.channel].name
 
 
+def _predicts(fitted: Fit) -> bool:
+    """Return whether the model has numbers where records are weighed: one whose fit failed may have none anywhere."""
+    if fitted.optimised:
+        return True
+    about = linearise(fitted.model.problem, np.zeros(len(fitted.z)))
+    return all(np.isfinite(np.asarray(each)).all() for each in (about.misfit, about.jacobian, fitted.h))
+
+
 class _Weighing:
     """The evidence of the campaign of a fit, as recorded and corrected.
 
-    Where a fit failed its parameters say nothing: the model is linear about the centres of the priors instead.
+    If a fit failed, its parameters say nothing: the model is linear about the centres of the priors instead.
     """
 
     def __init__(self, fitted: Fit):
