@@ -15,7 +15,7 @@ XLA fuses them with the surrounding elementwise operations; a batched 3 × 3 mat
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -166,9 +166,9 @@ def solve_lower(
 
 
 def solve_each(
-    factors: Float[Array, "n P P"], vectors: Float[Array, "n P"], transposed: bool = False
+    factors: Sequence[np.ndarray] | np.ndarray, vectors: Float[Array, "n P"], transposed: bool = False
 ) -> Float[Array, "n P"]:
-    """Return L⁻¹ · vector, or L⁻ᵀ · vector, for each of n lower triangular factors and vectors of NumPy."""
+    """Return L⁻¹ · vector, or L⁻ᵀ · vector, for each of n lower triangular factors (P, P) and vectors of NumPy."""
     found, solve = np.empty_like(vectors), scipy.linalg.lapack.dtrtrs
     if found.size:
         for place, (factor, vector) in enumerate(zip(factors, vectors, strict=True)):

@@ -256,27 +256,37 @@ def hyper_marginal(problem: Problem, mode: Mode) -> HyperMarginal:
 
 @dataclass(frozen=True)
 class _Given:
-    """The density of θ given each of n noise scales.
+    """The density of θ given each of n noise scales, of which m differ.
 
     Attributes
     ----------
-    factor : shape (n, P, P), Cholesky factors of the precision.
+    factor : shape (m, P, P), Cholesky factors of the precision.
+    place : shape (n,), which of them belongs to each.  They are not copied: they are most of the memory.
     half : shape (n, P), whitened mean less ẑ.
     at_mode : shape (n,), log p(y, ẑ, h) up to a constant; None if it does not come with them.
     """
 
     factor: np.ndarray
+    place: np.ndarray
     half: np.ndarray
     at_mode: np.ndarray | None
+
+    @property
+    def factors(self) -> list[np.ndarray]:
+        """The factor of each of the n noise scales, (P, P), not copied."""
+        return [self.factor[place] for place in self.place.tolist()]
+
+    @property
+    def log_determinant(self) -> np.ndarray:
+        """Half the logarithm of the determinant of the precision, (n,)."""
+        return np.sum(np.log(np.diagonal(self.factor, axis1=1, axis2=2)), axis=1)[self.place]
 
 
 def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Given:
     """Return the density of θ given each h, (n, H), computed once for neighbours that are alike."""
     first, place = _neighbours(h)
-    found = _computed(approximation, problem, h[first])
-    if len(first) == len(h):
-        return found
-    return _Given(found.factor[place], found.half[place], None if found.at_mode is None else found.at_mode[place])
+    factor, half, at_mode = _computed(approximation, problem, h[first])
+    return _Given(factor, place, half[place], None if at_mode is None else at_mode[place])
 
 
 def _neighbours(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +295,10 @@ def _neighbours(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(begins), np.cumsum(begins) - 1
 
 
-def _computed(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Given:
+def _computed(
+    approximation: NestedLaplace, problem: Problem, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return factor, half and at_mode of `_Given` for noise scales that all differ."""
     of, at_mode = approximation.blocks, None
     if isinstance(of, ScaleStatistics):
         known = of.normal(h)
@@ -294,7 +307,7 @@ def _computed(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> 
     else:
         precision, gradient = conditional(of, problem, h)
     factor = cholesky(precision)
-    return _Given(factor, solve_each(factor, gradient), at_mode)
+    return factor, solve_each(factor, gradient), at_mode
 
 
 def _bent(approximation: NestedLaplace, problem: Problem, delta: np.ndarray) -> np.ndarray:
@@ -333,9 +346,8 @@ def points_and_marginals(
             first, place = _neighbours(found[:, size:])
             some = np.resize(first, -len(first) % _COMPILED_FOR + len(first))
             density = np.asarray(_log_densities(problem, misfit, approximation.z, found[some, size:]))[place]
-        log_determinant = np.log(np.diagonal(given.factor, axis1=1, axis2=2)).sum(axis=1)
         points.append(found)
-        marginals.append(density + 0.5 * np.sum(given.half**2, axis=1) - log_determinant)
+        marginals.append(density + 0.5 * np.sum(given.half**2, axis=1) - given.log_determinant)
     return np.concatenate(points), np.concatenate(marginals)
 
 
@@ -376,10 +388,10 @@ def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarra
     given = _given(approximation, problem, h)
     whitened, excess = normal[:, :size], 0.0
     if approximation.shape is not None:
-        whitened, excess = approximation.shape.shaped(given.factor, whitened)
-    delta = solve_each(given.factor, given.half + whitened, transposed=True)
+        whitened, excess = approximation.shape.shaped(given.factors, whitened)
+    delta = solve_each(given.factors, given.half + whitened, transposed=True)
     points = np.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h], axis=1)
-    return points, _log_density(approximation, given.factor, whitened, along) + excess, given
+    return points, _log_density(approximation, given, whitened, along) + excess, given
 
 
 def to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -393,14 +405,14 @@ def _to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarr
     z, h = points[:, :size], points[:, size:]
     along = _along(approximation, problem, h)
     given = _given(approximation, problem, h)
-    factor = given.factor
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     step = bent - _bent(approximation, problem, bent)
-    whitened = (np.swapaxes(factor, 1, 2) @ step[..., None])[..., 0] - given.half
-    density = _log_density(approximation, factor, whitened, along)
+    factors = given.factors
+    whitened = np.stack([each.T @ own for each, own in zip(factors, step, strict=True)]) - given.half
+    density = _log_density(approximation, given, whitened, along)
     if approximation.shape is not None:
-        whitened, excess = approximation.shape.normalised(factor, whitened)
+        whitened, excess = approximation.shape.normalised(factors, whitened)
         density = density + excess
     return np.concatenate([whitened, approximation.of_scales.normals(along)], axis=1), density
 
@@ -417,8 +429,7 @@ def _along(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"
     return solve_lower(own.axes, (straight - own.h).T).T if h.size else h
 
 
-def _log_density(approximation: NestedLaplace, factor: np.ndarray, whitened: np.ndarray, along: np.ndarray):
+def _log_density(approximation: NestedLaplace, given: _Given, whitened: np.ndarray, along: np.ndarray):
     hyper = approximation.of_scales.log_density(along)
-    log_determinant = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
     constant = 0.5 * np.log(2 * np.pi) * whitened.shape[1]
-    return hyper - 0.5 * np.sum(whitened**2, axis=1) + log_determinant - constant
+    return hyper - 0.5 * np.sum(whitened**2, axis=1) + given.log_determinant - constant

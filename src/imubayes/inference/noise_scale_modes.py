@@ -40,6 +40,8 @@ _ALIKE, _HOPELESS = 0.1, 15.0
 NEGLIGIBLE = float(np.log(1e3))
 # Least share of the draws that are made about a mode.
 _LEAST_SHARE = 0.1
+# Parameters from which θ is drawn in fours with the same noise scales: factoring the precision takes most of the time.
+_MANY_PARAMETERS = 150
 # Weights of a relative variance below this move no mean by more than its root, 0.05 standard deviations.
 _EVEN = 0.05**2
 
@@ -109,7 +111,7 @@ def posterior_points(
     size = problem.size[0]
     if isinstance(draws, np.ndarray):
         normal = draws
-    elif problem.timeline is not None:  # the precision takes as long as all the rest
+    elif problem.timeline is not None or size >= _MANY_PARAMETERS:
         normal = grouped_normals(draws, *problem.size)
     else:
         normal = np.random.RandomState(0).normal(size=(draws, sum(problem.size)))

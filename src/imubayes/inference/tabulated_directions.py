@@ -7,6 +7,8 @@ evaluated on a grid, each time at the highest point of the posterior across it a
 approximation of a marginal, Tierney & Kadane 1986), and takes the place of the normal one.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 import scipy.special
@@ -46,13 +48,13 @@ class TabulatedDirections(eqx.Module):
     along: TabulatedDensity
 
     def shaped(
-        self, factor: Float[Array, "n P P"], normal: Float[Array, "n P"]
+        self, factor: Sequence[np.ndarray] | np.ndarray, normal: Float[Array, "n P"]
     ) -> tuple[Float[Array, "n P"], Float[Array, " n"]]:
         """Return whitened steps with these marginals, and their log density less that of standard normal vectors.
 
         Parameters
         ----------
-        factor : lower Cholesky factors L of the precision of θ; the step itself is L⁻ᵀ times the whitened one.
+        factor : n lower Cholesky factors L, (P, P), of the precision of θ; the step is L⁻ᵀ times the whitened one.
         normal : standard normal vectors.
         """
         axes = self._axes(factor)
@@ -61,7 +63,7 @@ class TabulatedDirections(eqx.Module):
         return normal + np.einsum("npm,nm->np", axes, after - before), self._excess(after)
 
     def normalised(
-        self, factor: Float[Array, "n P P"], whitened: Float[Array, "n P"]
+        self, factor: Sequence[np.ndarray] | np.ndarray, whitened: Float[Array, "n P"]
     ) -> tuple[Float[Array, "n P"], Float[Array, " n"]]:
         """Return the standard normal vectors of whitened steps, and the log density as `shaped` does."""
         axes = self._axes(factor)
@@ -80,7 +82,7 @@ class TabulatedDirections(eqx.Module):
         widths = from_normal(self.along, np.tile(_NORMAL_QUANTILES[:, None], axes.shape[1])).std(axis=0)
         return np.eye(len(whitening)) + (back * (widths - 1)) @ (axes.T @ whitening)
 
-    def _axes(self, factor: Float[Array, "n P P"]) -> Float[Array, "n P M"]:
+    def _axes(self, factor: Sequence[np.ndarray] | np.ndarray) -> Float[Array, "n P M"]:
         """Return the directions among whitened steps, orthonormal: vᵀδ = (L⁻¹v)ᵀ (Lᵀδ)."""
         axes, triangle = np.linalg.qr(np.stack([solve_lower(each, self.directions) for each in factor]))
         return axes * np.sign(np.diagonal(triangle, axis1=-2, axis2=-1))[..., None, :]
