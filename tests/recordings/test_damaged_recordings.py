@@ -16,7 +16,7 @@ from imubayes.campaign import inspect_campaign
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError, Issue
 from imubayes_recordings.convert import read_recordings, recording
-from imubayes_recordings.convert.formats import KINDS
+from imubayes_recordings.convert.formats import KINDS, open_recording
 
 CASES = Path(__file__).parents[2].parent / "shared" / "cases" / "rel" / "readers"
 LIMIT, ZEROS = 1 << 20, 1 << 18
@@ -167,3 +167,24 @@ def test_the_cases_that_others_tried(tmp_path: Path, capfd: pytest.CaptureFixtur
         assert file.name in said
         assert "internal error" not in said
         assert "file system error" not in said
+
+
+def test_nul_bytes_at_the_ends_of_lines_are_left_out_and_said(tmp_path: Path) -> None:
+    """A logger on a serial port began with them; one whose power failed goes on in the middle of the file."""
+    lines = [",".join(NAMED), *(",".join(f"{value:.6g}" for value in row) for row in ROWS)]
+    (plain := tmp_path / "plain.csv").write_text("\n".join(lines) + "\n")
+    broken = [lines[0], "\0" * 577 + lines[0], *lines[1:40], "\0" * 512 + lines[40], *lines[41:]]
+    (padded := tmp_path / "padded.csv").write_text("\r\n".join(broken) + "\r\n" + "\0" * 4096)
+    read, expected = open_recording(padded), open_recording(plain)
+    columns = range(len(NAMED))
+    found, known = (np.concatenate(list(one.blocks(one.topics()[0], columns))) for one in (read, expected))
+    np.testing.assert_array_equal(found, known)
+    assert any("NUL bytes are left out (line 42, " in note for note in read.notes()), read.notes()
+    assert not expected.notes()
+
+
+def test_wide_characters_without_a_mark_and_binary_numbers_are_no_padded_text(tmp_path: Path) -> None:
+    for name, content in (("wide", "time,ax\n1,2\n".encode("utf-16-le")), ("binary", np.arange(99.0).tobytes())):
+        (file := tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match="no known kind"):
+            read_recordings([file], gravity_m_s2=9.8, latitude_deg=50)

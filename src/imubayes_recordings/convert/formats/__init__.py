@@ -18,6 +18,7 @@ from imubayes_recordings.convert.formats import (
 )
 from imubayes_recordings.convert.formats.files_of_folder import FilesOfFolder
 from imubayes_recordings.convert.formats.text import TextRecording
+from imubayes_recordings.convert.formats.text_layout import is_padded_text
 from imubayes_recordings.convert.recording import ForeignRecording, RecordingKind, SourceRecording
 
 _HEAD = 4096
@@ -86,7 +87,8 @@ def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
         if head.startswith(sign):
             what = f"the file is {kind}, which is not decoded here"
             raise input_error(what, str(file), "a text table of it, or another format", remedy)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")):
+    encoded = head.startswith((b"\xff\xfe", b"\xfe\xff", b"\x1f\x8b", b"BZh", b"\xfd7zXZ"))
+    if b"\0" in head and not encoded and not is_padded_text(head):
         kinds = ", ".join(kind.name for kind in KINDS)
         raise input_error(
             "the file is of no known kind", str(file), f"text tables, {kinds}", "export the recording as one of these"

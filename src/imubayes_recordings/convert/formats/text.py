@@ -14,6 +14,7 @@ from imubayes_recordings.convert.formats.text_layout import (
     COMMENT_SIGN,
     find_layout,
     open_text,
+    without_padding,
 )
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
@@ -27,6 +28,7 @@ class TextRecording(SourceRecording):
     def __init__(self, file: Path, delimiter: str | None = None) -> None:
         self.file, self.layout = file, find_layout(file, delimiter)
         self._damaged: list[tuple[int, str]] = []
+        self._padded: list[int] = []
         self._lines = self._last = 0
 
     def topics(self) -> tuple[Topic, ...]:
@@ -59,7 +61,7 @@ class TextRecording(SourceRecording):
 
     def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield rows; a damaged line is a row of NaN, and more than a few are refused."""
-        layout, self._damaged, self._lines = self.layout, [], 0
+        layout, self._damaged, self._padded, self._lines = self.layout, [], [], 0
         kinds = self._kinds(topic)
         self._refuse_text(topic, kinds, positions)
         plain = (
@@ -71,7 +73,8 @@ class TextRecording(SourceRecording):
         with open_text(self.file, layout.encoding) as stream:
             lines = islice(enumerate(stream, 1), layout.first - 1, None)
             while chunk := list(islice(lines, BLOCK_ROWS)):
-                rows = [(n, line) for n, line in chunk if not line.isspace() and not self._no_data(line)]
+                chunk = self._without_padding(chunk)
+                rows = [(n, line) for n, line in chunk if line.strip() and not self._no_data(line)]
                 self._lines, self._last = self._lines + len(rows), rows[-1][0] if rows else self._last
                 block = self._whole(rows, positions) if plain else None
                 yield self._by_line(rows, topic, kinds, positions) if block is None else block
@@ -84,8 +87,24 @@ class TextRecording(SourceRecording):
     def _kinds(self, topic: Topic) -> tuple[CellKind, ...]:
         return self.layout.tags.lines[topic.name].kinds if self.layout.tags else self.layout.kinds
 
+    def _without_padding(self, lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+        """Return numbered lines without NUL bytes at their ends."""
+        padded = [number for number, line in lines if "\0" in line]
+        self._padded += padded
+        return [(number, without_padding(line)) for number, line in lines] if padded else lines
+
     def notes(self) -> tuple[str, ...]:
-        """Return how many lines were left out, and which."""
+        """Return how many lines were left out, and which; and which held NUL bytes."""
+        return (*self._of_padding(), *self._of_damage())
+
+    def _of_padding(self) -> tuple[str, ...]:
+        if not self._padded:
+            return ()
+        places = ", ".join(map(str, self._padded[:5])) + (", …" if len(self._padded) > 5 else "")
+        what = f"NUL bytes are left out (line {places}): the logger wrote nothing there, and samples may be missing"
+        return (f"{self.file.name}: {what}",)
+
+    def _of_damage(self) -> tuple[str, ...]:
         if not self._damaged:
             return ()
         places = ", ".join(str(number) for number, _ in self._damaged[:5]) + (", …" if len(self._damaged) > 5 else "")

@@ -26,6 +26,8 @@ _MOST_LINES = 300  # among which the first numbers are sought
 _SAMPLE = 40  # lines by which the kinds of the columns are known
 _LABELLED = 0.8  # share of the lines with the same labels
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
+_PADDING = re.compile(rb"(?:\A|(?<=[\r\n]))\0+|\0+(?=[\r\n]|\Z)")
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _REMARKS = ("comment", "comments", "remark", "remarks")
 _COMPRESSED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 
@@ -78,6 +80,19 @@ def open_text(file: Path, encoding: str) -> TextIOWrapper:
         magic = stream.read(6)
     opener = next((opener for sign, opener in _COMPRESSED.items() if magic.startswith(sign)), open)
     return opener(file, "rt", encoding=encoding, newline=None, errors="strict")
+
+
+def is_padded_text(head: bytes) -> bool:
+    """Return whether the beginning of a file is text but for stretches of NUL bytes that start or end a line.
+
+    A logger that allocates its file beforehand, or loses its power, leaves such stretches.
+    """
+    return not _CONTROL.search(_PADDING.sub(b"", head))
+
+
+def without_padding(line: str) -> str:
+    """Return a line without the NUL characters at its start and end."""
+    return line.strip("\0") if "\0" in line else line
 
 
 def find_layout(file: Path, delimiter: str | None) -> TextLayout:
@@ -167,7 +182,10 @@ def _first_lines(file: Path) -> tuple[str, list[tuple[int, str]]]:
     for encoding in ("utf-8-sig", "utf-16", "cp1252"):
         try:
             with open_text(file, encoding) as stream:
-                lines = [(number, line.rstrip("\r\n")) for number, line in enumerate(islice(stream, _MOST_LINES), 1)]
+                lines = [
+                    (number, without_padding(line.rstrip("\r\n")))
+                    for number, line in enumerate(islice(stream, _MOST_LINES), 1)
+                ]
         except UnicodeError:
             continue
         except (OSError, EOFError, lzma.LZMAError) as error:
