@@ -184,12 +184,12 @@ def output_factor(
     )  # fmt: skip
 
 
-def rate_factor(scope: Scope, factor: float, sd: float) -> WrongRecord | None:
-    """Return that the rates of a run agree times a factor; None of other scopes."""
+def rate_factor(scope: Scope, factor: float, sd: float, covariate: str = "table_rate") -> WrongRecord | None:
+    """Return that rates of a run, of its table or its reference gyro, agree times a factor; None of other scopes."""
     if scope.section != "run":
         return None
     return WrongRecord(
-        run=scope.name, form="factor", quantity=COVARIATES["table_rate"].column, unit="1", recorded=1.0,
+        run=scope.name, form="factor", quantity=COVARIATES[covariate].column, unit="1", recorded=1.0,
         agreeing=(factor,), sd=(sd,) if sd else (),
     )  # fmt: skip
 

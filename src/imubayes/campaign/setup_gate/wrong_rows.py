@@ -20,7 +20,7 @@ from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed,
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale, rate_factor
-from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
+from imubayes.campaign.setup_gate.setup_view import REFERENCE, RunView, changed, views_of
 from imubayes.campaign.setup_gate.thermal_mistakes import LEAST_COURSE
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
@@ -404,9 +404,9 @@ def _medians(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RateFactor(Mistake):
-    """The rates of one run are the recorded ones times a factor; the size is its logarithm.
+    """The rates of one run, of its table or its reference gyro, are the recorded ones times a factor.
 
-    The other runs that turn determine it.  Another unit of the rates is a point on it.
+    The size is the logarithm of the factor.  The other runs that turn determine it.  Another unit is a point on it.
     """
 
     kind: ClassVar[str] = "table_rate"
@@ -427,7 +427,11 @@ class RateFactor(Mistake):
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
         """Return every run that turns, if there are several: a scale factor is known by the rate alone."""
-        turning = [scope for scope in single_runs(views) if turns(views[scope.runs[0]])]
+        turning = [
+            scope
+            for scope, view in ((each, views[each.runs[0]]) for each in single_runs(views))
+            if turns(view) or view.reference is not None
+        ]
         return turning if len(turning) > 1 and campaign.of_kind("gyro") else []
 
     def possible(self, size: float) -> bool:
@@ -444,9 +448,15 @@ class RateFactor(Mistake):
 
     def wrong_record(self, campaign: Campaign, size: float, sd: float) -> WrongRecord | None:
         """Return the factor on the rates of the run."""
-        factor = float(np.exp(size))
-        return rate_factor(self.scope, factor, sd * factor)
+        factor, recorded = float(np.exp(size)), campaign.runs[self.scope.runs[0]].covariates
+        if REFERENCE[0] not in recorded:
+            return rate_factor(self.scope, factor, sd * factor)
+        # The unit turns about one axis of the reference gyro: the others show the Earth rate.
+        fastest = max(REFERENCE, key=lambda name: float(np.nanmax(np.abs(recorded[name]))))
+        return rate_factor(self.scope, factor, sd * factor, fastest)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its rates multiplied."""
-        return changed(views[place], rate=views[place].rate * np.exp(size))
+        view, factor = views[place], np.exp(size)
+        reference = None if view.reference is None else view.reference * factor
+        return changed(view, rate=view.rate * factor, reference=reference)
