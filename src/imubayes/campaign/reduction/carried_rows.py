@@ -224,11 +224,18 @@ def _since_start(rates: np.ndarray, length: np.ndarray, coning: np.ndarray, gyro
     count, steps = length.shape
     each = scipy.spatial.transform.Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
     each = each.reshape(count, steps, 3, 3)
-    found = np.empty((count, steps + 1, 3, 3))
-    found[:, 0] = np.eye(3)
-    for step in range(steps):
-        found[:, step + 1] = found[:, step] @ each[:, step]
-    return found
+    # Blocks of √K steps side by side, then one block after another: 2√K products of arrays in place of K.
+    size = max(1, round(steps**0.5))
+    blocks = -(-steps // size)
+    within = np.broadcast_to(np.eye(3), (count, blocks * size, 3, 3)).copy()
+    within[:, :steps] = each
+    within = within.reshape(count, blocks, size, 3, 3)
+    for step in range(1, size):
+        within[:, :, step] = within[:, :, step - 1] @ within[:, :, step]
+    for block in range(1, blocks):
+        within[:, block] = within[:, block - 1, -1:] @ within[:, block]
+    products = within.reshape(count, blocks * size, 3, 3)[:, :steps]
+    return np.concatenate([np.broadcast_to(np.eye(3), (count, 1, 3, 3)), products], axis=1)
 
 
 def _carried_force(
