@@ -1,5 +1,6 @@
 """No command loads what it has no use for: reading a result needs no JAX, a fit no report, archive or page."""
 
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,8 @@ MOST_MODULES = 198
 HEAVY = {"jax", "equinox", "optimistix", "emcee", "arviz_stats", "arviz_base"}
 
 
-def executed(*modules: str, then: str = "") -> set[str]:
+@functools.cache
+def executed(*modules: str, then: str = "") -> frozenset[str]:
     """Return the modules that a process has executed after importing modules, and what it does then.
 
     Lazy ones are left to their first use.
@@ -26,7 +28,8 @@ def executed(*modules: str, then: str = "") -> set[str]:
         "lazy = importlib.util._LazyModule\n"
         "print(*(name for name, module in sys.modules.items() if type(module) is not lazy))"
     )
-    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    return frozenset(told.split())
 
 
 def loaded(*modules: str) -> set[str]:
@@ -34,7 +37,7 @@ def loaded(*modules: str) -> set[str]:
     return {name.partition(".")[0] for name in executed(*modules)}
 
 
-def satellites(modules: set[str]) -> list[str]:
+def satellites(modules: frozenset[str]) -> list[str]:
     """Return the modules of satellites among some; a package that holds nothing but its docstring is none."""
     prefixes = tuple(f"imubayes.{name}." for name in SATELLITES)
     beside = {name for name in modules if name.startswith("imubayes_") and "." in name}
