@@ -167,12 +167,29 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     command = " ".join(error.command_chain or ("COMMAND",))
     what = str(error).strip().splitlines()[0]
     argument = error.argument
-    if isinstance(error, cyclopts.MissingArgumentError) and argument is not None and error.keyword is None:
+    if isinstance(error, cyclopts.MissingArgumentError) and (misspelt := _unknown_option(words)):
+        what = f"'{command}' has no option {misspelt}"
+        allowed = closest_first(misspelt, _options(error))
+    elif isinstance(error, cyclopts.MissingArgumentError) and argument is not None and error.keyword is None:
         # The library calls a positional argument by the option of the same name.
         positional = argument.field_info.is_positional
         name = argument.name.lstrip("-").upper() if positional else argument.name
         what = f"the {'argument' if positional else 'option'} {name} of '{command}' is missing"
     return Issue(what, "command line", allowed, f"imubayes {command} --help shows an example")
+
+
+def _unknown_option(words: Sequence[str]) -> str:
+    """Return the first option that no parameter took; empty if there is none.
+
+    The library looks for missing parameters first: a misspelt option would be reported as missing.
+    """
+    return next((word.partition("=")[0] for word in words if word.startswith("--")), "")
+
+
+def _options(error: cyclopts.CycloptsError) -> list[str]:
+    """Return the options of the command of an error."""
+    taken = error.app.assemble_argument_collection() if error.app else ()
+    return [argument.name for argument in taken if not argument.field_info.is_positional]
 
 
 def _issue_of(error: Exception) -> Issue:
