@@ -111,7 +111,10 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
         "not valid TOML", r"campaign\.toml, at its end", "key",
     ),
     "key twice": (toml("height_m = 100.0", "height_m = 1.0\nheight_m = 2.0"), "not valid TOML", r"campaign\.toml:7", "key"),
-    "not utf-8": (lambda f: (f / "campaign.toml").write_bytes(b"name = \xff"), "not UTF-8", "campaign.toml", "UTF-8"),
+    "not utf-8": (lambda f: (f / "campaign.toml").write_bytes(b"name = \xff"), "not UTF-8", r"campaign\.toml:1", "Latin-1"),
+    "a later line not utf-8": (
+        lambda f: (f / "campaign.toml").write_bytes(b"format = 1\r\nname = \"Pr\xfcfling\"\r\n"), "not UTF-8", r"campaign\.toml:2", "Latin-1",
+    ),
     "other format": (toml("format = 1", "format = 7"), "format = 7", r"campaign\.toml:1, format", "1"),
     "no name": (toml('name = "small"\n', ""), "has no 'name'", r"campaign\.toml", "name"),
     "unknown section": (toml("[unit]", "[units]"), "unknown key 'units'", r"campaign\.toml:9, units", "unit"),
@@ -120,7 +123,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "latitude out of range": (toml("latitude_deg = 45.0", "latitude_deg = 145.0"), "145", r":5, site\.latitude_deg", "at most 90"),
     "latitude is text": (toml("latitude_deg = 45.0", 'latitude_deg = "45"'), "latitude_deg", r":5, site", "number"),
     "gravity in g": (toml("gravity_m_s2 = 9.8", "gravity_m_s2 = 1.0"), "1.0", r":7, site\.gravity", "at least 9.5"),
-    "negative noise": (toml("noise = 2.0", "noise = -2.0"), "-2", r":20, channel\[0\]\.noise", "more than 0"),
+    "negative noise": (toml("noise = 2.0", "noise = -2.0"), "noise: the value should be greater than 0 (it is -2.0)", r":20, channel\[0\]\.noise", "more than 0"),
     "noise absurd": (toml("noise = 2.0", "noise = 1e308"), "1e+308 is not a physical size", r":20, channel\[0\]\.noise", "more than 0"),
     "scale absurd": (toml("scale = 1000.0", "scale = 1e-300"), "1e-300 is not a physical size", r":17, channel\[0\]\.scale", "number"),
     "axis absurd": (toml("input_axis = [1, 0, 0]", "input_axis = [1e308, 0, 0]"), "not a physical size", r":15, channel\[0\]", "three numbers"),
@@ -215,6 +218,9 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "misspelt file": (toml("runs/rates.csv", "runs/rate.csv"), "does not exist", r"run\[0\]\.file", "runs/rates.csv"),
     "file is a folder": (toml("runs/rates.csv", "runs"), "is a folder", r"run\[0\]\.file", "csv"),
     "empty file": (lambda f: (f / RATES).write_text(""), "empty", r"rates\.csv:1", "header"),
+    "a table in Latin-1": (
+        lambda f: (f / RATES).write_bytes((f / RATES).read_bytes().replace(b"gx", b"g\xfc", 1)), "not UTF-8", r"rates\.csv:1", "Latin-1",
+    ),
     "header alone": (lines(RATES, lambda rows: rows[:1]), "empty_run", r"rates\.csv", "rows"),
     "a word between semicolons": (
         lines(RATES, lambda rows: [rows[0].replace(",", ";"), "x" + rows[1].replace(",", ";"), *rows[2:]]),

@@ -54,6 +54,8 @@ def replaced(file: Path, old: str, new: str) -> None:
     [
         (("check",), "the argument CAMPAIGN of 'check' is missing"),
         (("add", "gyro_bias"), "the option --to of 'add' is missing"),
+        (("fit", "data", "--modle", "start", "--out", "r"), "'fit' has no option --modle\n"),
+        (("fit", "data", "--modle=start", "--out", "r"), "'fit' has no option --modle\n"),
     ],
 )
 def test_what_a_command_line_lacks_is_named_with_its_command(capsys, words, what):

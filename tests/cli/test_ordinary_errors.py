@@ -77,11 +77,3 @@ def test_names_do_not_steer_the_terminal(tmp_path, capsys):
     err = capsys.readouterr().err
     assert "\x1b" not in err
     assert "no\\x1b[31mfolder" in err
-
-
-@pytest.mark.parametrize(("word", "meant"), [("--modle", "--model"), ("--mod=a.toml", "--model")])
-def test_a_misspelt_option_is_named_before_the_one_that_is_missing(capsys, word, meant):
-    assert run(["fit", CAMPAIGN, word, "a.toml"]) == 2
-    err = capsys.readouterr().err
-    assert f"Unknown option: {word.partition('=')[0]}." in err
-    assert f"allowed: {meant}, " in err

@@ -320,6 +320,18 @@ def test_errors_have_four_parts(tmp_path, text, what, allowed):
     assert issue.remedy
 
 
+@pytest.mark.parametrize(("upper", "refused"), [(-2, True), (0, False)])
+def test_a_negative_upper_limit_of_a_size_is_refused(tmp_path, upper, refused):
+    unit = replace(UNIT, nonnegative=frozenset({"accel_bias.bias[ax]"}))
+    text = limit("accel_bias.bias", f'upper = {upper}\nunit = "mg"')
+    assert outcome(tmp_path, text)  # a bias may be negative
+    if not refused:
+        assert outcome(tmp_path, text, unit)
+        return
+    with pytest.raises(InputError, match="cannot be negative"):
+        outcome(tmp_path, text, unit)
+
+
 def test_all_errors_of_a_file_are_reported_at_once(tmp_path):
     text = limit("gyro_biass.bias", 'upper = 1\nunit = "deg/h"') + limit("gyro_bias.bias[gx]", 'upper = 1\nunit = "mg"')
     with pytest.raises(InputError) as caught:

@@ -159,7 +159,7 @@ def test_more_parameters_than_values_are_told_with_what_to_leave_out(tmp_path, c
     model = Path(__file__).parents[2] / "models" / "free-tumble.toml"
     assert run(["check", str(campaign), "--model", str(model)]) == 0
     said = capsys.readouterr().out
-    assert "24 parameters, 3 of noise, 12 measured values" in said
+    assert "24 parameters and 3 of the noise, 12 measured values" in said
     assert "these runs supply less than 10 % of the information on accel_misalignment" in said
     assert run(["check", str(campaign), "--model", str(model), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["model"]["untold"] == ["accel_misalignment"]

@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 
 from imubayes.campaign.column_layout import ColumnLayout
 from imubayes.foundations.errors import InputError, Issue, input_error, refuse
+from imubayes.foundations.files import not_utf8
 from imubayes.foundations.units import ABSURD
 
 
@@ -250,7 +251,7 @@ def read_header(file: TableFile) -> tuple[str, ...]:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             line = stream.readline().rstrip("\r\n")
     except UnicodeDecodeError:
-        raise _unreadable(file, "it is not UTF-8 text") from None
+        raise InputError(not_utf8(file)) from None
     except OSError as error:
         raise _unreadable(file, str(error.strerror or error)) from None
     if not line.strip():

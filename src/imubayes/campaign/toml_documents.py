@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from imubayes.campaign.file_schemas import FORMS, PATTERNS
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.files import not_utf8
 
 KeyPath = tuple[str | int, ...]
 _MISSPELT = 0.8  # least similarity of a key to the one that is meant: one letter of six
@@ -189,9 +190,8 @@ def _text(file: Path) -> str:
         allowed = closest_first(file.name, near) or "a TOML file"
         remedy = "give the path of an existing file"
         raise input_error(f"there is no file '{file.name}'", str(file), allowed, remedy) from None
-    except UnicodeDecodeError as error:
-        what = f"the file is not UTF-8 text (byte {error.start})"
-        raise input_error(what, str(file), "UTF-8", "save it as UTF-8 text") from None
+    except UnicodeDecodeError:
+        raise InputError(not_utf8(file)) from None
     except OSError as error:
         raise input_error(f"the file cannot be read: {error.strerror}", str(file), "", "make it readable") from None
 
@@ -251,7 +251,9 @@ def _message(fault: Any, path: KeyPath, label: str, owner: type[BaseModel] | Non
 
 def _wrong_value(fault: Any, path: KeyPath) -> str:
     given = f" (it is {fault['input']!r})" if isinstance(fault["input"], str | int | float | bool) else ""
-    return f"{spell(path) or 'the file'}: {fault['msg'][0].lower()}{fault['msg'][1:]}{given}"
+    # The library calls a value "Input", which is the stimulus of a sensor here.
+    said = fault["msg"].replace("Input", "the value", 1)
+    return f"{spell(path) or 'the file'}: {said[0].lower()}{said[1:]}{given}"
 
 
 def _form(path: KeyPath) -> str:

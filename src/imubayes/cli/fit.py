@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from imubayes.cli.session import Flag, Json, Names, Trust, progress, show, split, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Names, Repeated, Trust, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def compare(
     result: Path,
     other: Path | None = None,
     *,
-    parameters: list[str] | None = None,
-    runs: list[str] | None = None,
+    parameters: Repeated = None,
+    runs: Repeated = None,
     every: Flag = False,
     changed: Names = None,
     any_unit: Flag = False,

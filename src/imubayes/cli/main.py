@@ -102,7 +102,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _refuse(*error.issues, written=error.written)
     except cyclopts.CycloptsError as error:
-        return _refuse(_of_command_line(error, words))
+        return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
         kept = _registered[words[0]].interrupted if words and words[0] in _registered else ""
         print(f"interrupted{'; ' if kept else ''}{kept}", file=sys.stderr)
@@ -159,7 +159,7 @@ def _refuse(*issues: Issue, written: str = "") -> int:
     return UNUSABLE
 
 
-def _of_command_line(error: cyclopts.CycloptsError, given: Sequence[str]) -> Issue:
+def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     names = [name for name in app if not name.startswith("-")]
     words = [word for word in (getattr(error, "unused_tokens", None) or []) if isinstance(word, str)]
     known = words[0] if words else ""
@@ -167,8 +167,9 @@ def _of_command_line(error: cyclopts.CycloptsError, given: Sequence[str]) -> Iss
     command = " ".join(error.command_chain or ("COMMAND",))
     what = str(error).strip().splitlines()[0]
     argument = error.argument
-    if isinstance(error, cyclopts.MissingArgumentError) and (unknown := _unknown_option(error, given)):
-        what, allowed = f"Unknown option: {unknown[0]}.", unknown[1]
+    if isinstance(error, cyclopts.MissingArgumentError) and (misspelt := _unknown_option(words)):
+        what = f"'{command}' has no option {misspelt}"
+        allowed = closest_first(misspelt, _options(error))
     elif isinstance(error, cyclopts.MissingArgumentError) and argument is not None and error.keyword is None:
         # The library calls a positional argument by the option of the same name.
         positional = argument.field_info.is_positional
@@ -177,17 +178,18 @@ def _of_command_line(error: cyclopts.CycloptsError, given: Sequence[str]) -> Iss
     return Issue(what, "command line", allowed, f"imubayes {command} --help shows an example")
 
 
-def _unknown_option(error: cyclopts.CycloptsError, given: Sequence[str]) -> tuple[str, str] | None:
-    """Return an option that the command does not have, and those that it has, closest first.
+def _unknown_option(words: Sequence[str]) -> str:
+    """Return the first option that no parameter took; empty if there is none.
 
-    The library reports an argument that is missing before an option that is unknown, such as the same one misspelt.
+    The library looks for missing parameters first: a misspelt option would be reported as missing.
     """
-    command = app
-    for name in error.command_chain or ():
-        command = command[name]
-    known = [name for argument in command.assemble_argument_collection() for name in argument.names]
-    options = [word.partition("=")[0] for word in given if word.startswith("--") and len(word) > len("--")]
-    return next(((option, closest_first(option, known)) for option in options if option not in known), None)
+    return next((word.partition("=")[0] for word in words if word.startswith("--")), "")
+
+
+def _options(error: cyclopts.CycloptsError) -> list[str]:
+    """Return the options of the command of an error."""
+    taken = error.app.assemble_argument_collection() if error.app else ()
+    return [argument.name for argument in taken if not argument.field_info.is_positional]
 
 
 def _issue_of(error: Exception) -> Issue:

@@ -31,6 +31,9 @@ Trust = Annotated[bool, cyclopts.Parameter(negative="")]
 Names = Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")]
 """Several names after one option, separated by blanks or commas."""
 
+Repeated = Annotated[list[str] | None, cyclopts.Parameter(negative="")]
+"""Names, each after an option of its own."""
+
 
 def split(names: list[str] | None) -> list[str] | None:
     """Return the names of a `Names` option, split at commas."""

@@ -172,8 +172,8 @@ def check_report(
     ]
     if model is not None:
         lines.append(
-            f"model '{model.name}' can be fitted to this campaign: {counted(model.parameters, 'parameter')}, "
-            f"{model.noise_parameters} of noise, {counted(model.measured_values, 'measured value')}"
+            f"model '{model.name}' can be fitted to this campaign: {counted(model.parameters, 'parameter')} "
+            f"and {model.noise_parameters} of the noise, {counted(model.measured_values, 'measured value')}"
         )
         if model.untold:
             lines.append(

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from imubayes.foundations.errors import InputError, input_error
+from imubayes.foundations.errors import InputError, Issue, input_error
 
 _WRITING, _COMMITTED, _REMOVED = ".writing-", ".committed", ".removed"
 PATIENCE = 5.0
@@ -228,6 +228,24 @@ def _put_in_place(committed: Path, last: str) -> None:
                 place.unlink(missing_ok=True)
     _synchronise(folder)
     shutil.rmtree(committed)
+
+
+def not_utf8(file: Path) -> Issue:
+    """Return the issue of a file that is not UTF-8 text, with the first line that is not."""
+    place = str(file)
+    with file.open("rb") as stream:
+        for number, line in enumerate(stream, start=1):
+            try:
+                line.decode("utf-8")
+            except UnicodeDecodeError:
+                place = f"{file}:{number}"
+                break
+    return Issue(
+        "the line contains a character that is not UTF-8 text",
+        place,
+        "UTF-8; an editor may have saved the file as Latin-1, Windows-1252 or UTF-16",
+        "save the file again with the encoding UTF-8",
+    )
 
 
 def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Repeated, Trust, progress, show, start_jax, trusting
 
 if TYPE_CHECKING:
     import polars as pl
@@ -114,7 +114,7 @@ def population(
     results: Path,
     *,
     alone: Flag = False,
-    parameter: list[str] | None = None,
+    parameter: Repeated = None,
     out: Path | None = None,
     picture: Path | None = None,
     model_hash: str | None = None,

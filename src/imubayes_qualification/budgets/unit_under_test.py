@@ -69,6 +69,7 @@ class TestedUnit(UnitUnderTest):
     jointly : the same with its correlation: quantity → shape (r,), by r independent causes, if it depends on
         temperature.
     floors : quantity → the smallest expanded uncertainty that may be stated of it.
+    nonnegative : quantities that cannot be negative: their prior allows no such value, or they are lengths.
     """
 
     __test__ = False  # no test, whatever its name says to pytest
@@ -81,6 +82,7 @@ class TestedUnit(UnitUnderTest):
     unstated: Mapping[str, float] = field(default_factory=dict)
     jointly: Mapping[str, np.ndarray] = field(default_factory=dict)
     floors: Mapping[str, float] = field(default_factory=dict)
+    nonnegative: frozenset[str] = frozenset()
 
     def with_floor(self, name: str, values: "RangeDraws") -> "RangeDraws":
         """Return draws at T temperatures, widened if U would be below the floor of their quantity."""
@@ -160,7 +162,11 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
         added[shift.name] = float(np.hypot(added.get(shift.name, 0.0), shift.value))
     unstated = {each.name: each.value for each in exact.unstated}
     jointly = {each.name: np.array(each.values) for each in exact.jointly}
-    return replace(unit, quantities=known, lengths=lengths, added=added, unstated=unstated, jointly=jointly)
+    parameters = (*model.layout.parameters, *model.hyper_layout.parameters)
+    nonnegative = frozenset(each.name for each in parameters if each.prior.support()[0] >= 0).union(lengths)
+    return replace(
+        unit, quantities=known, lengths=lengths, added=added, unstated=unstated, jointly=jointly, nonnegative=nonnegative
+    )
 
 
 def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> PosteriorQuantities:

@@ -118,7 +118,7 @@ def resolved_limits(
         found += [
             limit
             for name in names
-            if (limit := _resolved(entry, file, unit.quantities.entries[name], (*path, place), ledger, unit.gravity))
+            if (limit := _resolved(entry, file, unit.quantities.entries[name], (*path, place), ledger, unit))
         ]
     ledger.stop_if_any()
     return tuple(found)
@@ -155,11 +155,11 @@ def _resolved(
     quantity: Quantity,
     path: tuple[str | int, ...],
     ledger: Ledger,
-    gravity: float,
+    unit: TestedUnit,
 ) -> ResolvedLimit | None:
     where = (*path, "unit")
     try:
-        factor, shift = _conversion(entry, quantity, ledger.where(*where), gravity)
+        factor, shift = _conversion(entry, quantity, ledger.where(*where), unit.gravity)
     except InputError as error:
         if not any(issue == known for issue in error.issues for known in ledger.issues):
             ledger.issues.extend(error.issues)
@@ -167,15 +167,24 @@ def _resolved(
     if factor is None and any(issue.where == ledger.where(*where) for issue in ledger.issues):
         return None
     if factor is None:
-        allowed = quantity.unit + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
+        own = " (the output unit of the channel)" if quantity.unit == "output" else ""
+        allowed = quantity.unit + own + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
         ledger.add(
-            f"the unit '{entry.unit}' is not one of {quantity.name}",
+            f"{quantity.name} cannot be stated in the unit '{entry.unit}'",
             where,
             allowed,
             "write the limits in one of these units",
         )
         return None
     lower, upper = _ends(entry, factor, shift)
+    if quantity.name in unit.nonnegative and upper < 0:
+        ledger.add(
+            f"the upper limit of {quantity.name} is below 0, but this quantity cannot be negative",
+            (*path, "upper"),
+            "an upper limit of 0 or more",
+            "correct the sign or the quantity",
+        )
+        return None
     made = entry.production
     return ResolvedLimit(
         quantity=quantity,

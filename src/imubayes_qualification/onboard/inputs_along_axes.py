@@ -176,11 +176,7 @@ def read_readings(file: Path) -> pl.DataFrame:
         refuse_too_large(file, scanned.select(pl.len()).collect().item() * len(scanned.collect_schema()))
         return scanned.collect()
     except (OSError, pl.exceptions.PolarsError) as error:
-        fault = (
-            "there is no such file"
-            if not file.is_file()
-            else (f"the file is not a table: {str(error).splitlines()[0]}")
-        )
+        fault = "the file cannot be read as a table" if file.is_file() else "there is no such file"
         allowed = "a CSV or Parquet table with a header"
         raise input_error(fault, str(file), allowed, "give the path of the readings") from error
 

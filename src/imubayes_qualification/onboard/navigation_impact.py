@@ -147,7 +147,8 @@ def level_mission(
 ) -> Mission:
     """Return a mission at rest or at a constant speed and heading, level, for so many seconds; angles in rad."""
     if not 0 < duration <= _LONGEST:
-        raise input_error(f"a mission of {duration:g} s", "duration", f"above 0, at most {_LONGEST:g} s", "correct it")
+        fault = f"the duration of the mission is {duration:g} s"
+        raise input_error(fault, "duration", f"above 0, at most {_LONGEST:g} s", "correct the duration")
     time = np.linspace(0.0, duration, max(2, math.ceil(duration / _STEP) + 1))
     velocity = np.tile([speed * math.cos(heading), speed * math.sin(heading), 0.0], (len(time), 1))
     along = latitude + velocity[:, 0] * time / (RADIUS + height)

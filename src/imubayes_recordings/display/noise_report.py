@@ -330,7 +330,7 @@ def _warnings(noise: ChannelNoise) -> Iterator[str]:
         yield f"the record needs {names}, but does not show which. A longer record would."
     for term, other in noise.alternatives:
         one, instead = _name(other, noise.kind), _name(term, noise.kind)
-        yield f"{one} instead of {instead} would describe the record equally well."
+        yield f"the record is described equally well with {one} in place of {instead}."
 
 
 def write_noise(

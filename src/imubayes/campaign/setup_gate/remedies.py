@@ -38,7 +38,7 @@ def _uncertainty(found: Explanation) -> str:
 def _zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake, subject, off = found.mistake, subject_of(found.mistake), _folded(-math.degrees(found.size))
     what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
-    allowed = "angles from the zero, at which the table axes are as azimuth and elevation state"
+    allowed = "angles counted from the position at which the axes are as the [[table]] states"
     if mistake.scope.section == "table":
         zero = _folded(places.zero(mistake.scope.name) + off)
         where = places.line("table", mistake.scope.name, "zero_angle_deg")

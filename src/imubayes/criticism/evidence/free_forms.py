@@ -207,7 +207,7 @@ def _of_covariate(
     else:
         basis = {k: _gaussian_process(x, *_SMOOTH) for k, x in seen.items()}
         rough = {k: places[k].columns(*_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
-        yield FormHypothesis("function", f"irregular function of {said}", own, rough)
+        yield FormHypothesis("function", f"rapidly varying function of {said}", own, rough)
         if name.startswith(("rate", "force")):
             yield from _levels(covariate, seen, places)
             yield from _thresholds(covariate, seen, places)

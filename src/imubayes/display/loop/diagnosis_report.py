@@ -95,7 +95,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
             "most affected parameter if the effect is present at its largest typical size."
         )
-    note += f" Not all runs supply the inputs of further effects: {without}." if without else ""
+    note += f" Further effects need inputs that these runs do not supply: {without}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 
@@ -149,8 +149,8 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
     ]
     note = (
         "Standard deviation of one raw sample: fitted from the scatter of the rows, and as the "
-        "campaign records it. A ratio above 1 is scatter from row to row that the samples do not show; p: its excess "
-        f"over {NOISE_AGREES:.2f} by chance."
+        "campaign records it. A ratio above 1 is scatter from row to row that the samples do not show; p: "
+        f"probability that chance gives such a ratio if the true one is at most {NOISE_AGREES:.2f}."
     )
     head = ("channel", "fitted", "recorded", "from", "ratio", "p")
     return Sheet("Fitted and recorded noise disagree", head, rows, (0, 3), "", note)

@@ -72,7 +72,10 @@ def _not_shown(found: NavigationImpact) -> Iterator[Sheet]:
 def _not_propagated(found: NavigationImpact) -> Iterator[str]:
     """Yield what is left out of that table, and why."""
     if not found.diagnosed:
-        yield "Effects that the runs could not show are not known yet. `imubayes diagnose RESULT` determines them."
+        yield (
+            "Errors due to effects that the runs could not show are not included. `imubayes diagnose RESULT` lists "
+            "these effects; then run this command again."
+        )
     left = []
     for needs in dict.fromkeys(each.needs for each in found.not_propagated):
         names = [each.effect for each in found.not_propagated if each.needs == needs]

@@ -14,21 +14,21 @@ from imubayes_qualification.display.report.exact_tables import BESIDE, omitted_f
 
 def banner(report: record.QualificationReport) -> Banner:
     """Return the outcome in words and colour."""
-    found = report.conformity
+    found, approximate = report.conformity, _approximate(report.convergence)
     if found is None:
         sentence = "This report states estimates with their uncertainty and contains no decision."
-        return Banner("NO SPECIFICATION", sentence + _approximate(report.convergence, "all numbers"), "")
+        return Banner("NO SPECIFICATION", sentence + approximate, "")
     word, mood = words.OUTCOMES[found.outcome]
-    return Banner(word, _sentence(found) + _approximate(report.convergence, "all numbers and decisions"), mood)
+    return Banner(word, _sentence(found) + approximate, mood)
 
 
-def _approximate(convergence: record.ReportedConvergence, what: str) -> str:
+def _approximate(convergence: record.ReportedConvergence) -> str:
     """Return that the numbers are of an approximation; nothing of a posterior that was sampled or is none."""
     if convergence.sampled or not convergence.converged:
         return ""
     return (
-        f" The posterior was not sampled: {what} are based on its Laplace approximation. Confirm them by sampling "
-        "(`imubayes fit` without `--no-sample`)."
+        " The posterior was not sampled: this report is based on its Laplace approximation. Confirm "
+        "it by sampling (`imubayes fit` without `--no-sample`)."
     )
 
 
