@@ -94,3 +94,22 @@ def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
         lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
     half = np.linalg.solve(lower, np.diag(1 / scale))
     return half.T @ half
+
+
+def running_products(matrices: np.ndarray) -> np.ndarray:
+    """Return the products of the first 0, 1, … K matrices of each stretch, (T, K, 3, 3) → (T, K + 1, 3, 3).
+
+    Blocks of √K steps are multiplied side by side, then one block after another: 2√K products of arrays in place of K.
+    """
+    count, steps = matrices.shape[:2]
+    size = max(1, round(steps**0.5))
+    blocks = -(-steps // size)
+    within = np.broadcast_to(np.eye(3), (count, blocks * size, 3, 3)).copy()
+    within[:, :steps] = matrices
+    within = within.reshape(count, blocks, size, 3, 3)
+    for step in range(1, size):
+        within[:, :, step] = within[:, :, step - 1] @ within[:, :, step]
+    for block in range(1, blocks):
+        within[:, block] = within[:, block - 1, -1:] @ within[:, block]
+    products = within.reshape(count, blocks * size, 3, 3)[:, :steps]
+    return np.concatenate([np.broadcast_to(np.eye(3), (count, 1, 3, 3)), products], axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 from imubayes.foundations.body_axes import body_vector
 from imubayes.foundations.campaign_data import Campaign, Run, Tumble
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import running_products
 from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest, rotation_matrices
 
 LEAST_SECONDS = 5.0
@@ -103,10 +104,4 @@ def nominal_rates(tumble: Tumble, campaign: Campaign) -> np.ndarray:
 
 def _since_start(vectors: np.ndarray) -> np.ndarray:
     """Return the products of the first 0, 1, … K rotations by vectors (T, K, 3), shape (T, K + 1, 3, 3)."""
-    count, steps = vectors.shape[:2]
-    each = rotation_matrices(vectors.reshape(-1, 3)).reshape(count, steps, 3, 3)
-    found = np.empty((count, steps + 1, 3, 3))
-    found[:, 0] = np.eye(3)
-    for step in range(steps):
-        found[:, step + 1] = found[:, step] @ each[:, step]
-    return found
+    return running_products(rotation_matrices(vectors.reshape(-1, 3)).reshape(*vectors.shape, 3))

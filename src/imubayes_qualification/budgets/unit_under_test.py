@@ -165,7 +165,13 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
     parameters = (*model.layout.parameters, *model.hyper_layout.parameters)
     nonnegative = frozenset(each.name for each in parameters if each.prior.support()[0] >= 0).union(lengths)
     return replace(
-        unit, quantities=known, lengths=lengths, added=added, unstated=unstated, jointly=jointly, nonnegative=nonnegative
+        unit,
+        quantities=known,
+        lengths=lengths,
+        added=added,
+        unstated=unstated,
+        jointly=jointly,
+        nonnegative=nonnegative,
     )
 
 

@@ -168,7 +168,9 @@ def _resolved(
         return None
     if factor is None:
         own = " (the output unit of the channel)" if quantity.unit == "output" else ""
-        allowed = quantity.unit + own + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
+        allowed = (
+            quantity.unit + own + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
+        )
         ledger.add(
             f"{quantity.name} cannot be stated in the unit '{entry.unit}'",
             where,

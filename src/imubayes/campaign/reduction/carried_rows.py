@@ -30,7 +30,7 @@ from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.numerics import scatter_of_samples
+from imubayes.foundations.numerics import running_products, scatter_of_samples
 from imubayes.foundations.wording import counted
 from imubayes.procedures.carried import LEAST_SECONDS, about_one_axis
 
@@ -221,21 +221,8 @@ class GyroEstimate:
 def _since_start(rates: np.ndarray, length: np.ndarray, coning: np.ndarray, gyros: GyroEstimate) -> np.ndarray:
     """Return the rotation of every end of a step since the start of its stretch, (T, K + 1, 3, 3)."""
     vectors = gyros.corrected(rates) * length[..., None] + coning
-    count, steps = length.shape
     each = scipy.spatial.transform.Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
-    each = each.reshape(count, steps, 3, 3)
-    # Blocks of √K steps side by side, then one block after another: 2√K products of arrays in place of K.
-    size = max(1, round(steps**0.5))
-    blocks = -(-steps // size)
-    within = np.broadcast_to(np.eye(3), (count, blocks * size, 3, 3)).copy()
-    within[:, :steps] = each
-    within = within.reshape(count, blocks, size, 3, 3)
-    for step in range(1, size):
-        within[:, :, step] = within[:, :, step - 1] @ within[:, :, step]
-    for block in range(1, blocks):
-        within[:, block] = within[:, block - 1, -1:] @ within[:, block]
-    products = within.reshape(count, blocks * size, 3, 3)[:, :steps]
-    return np.concatenate([np.broadcast_to(np.eye(3), (count, 1, 3, 3)), products], axis=1)
+    return running_products(each.reshape(*length.shape, 3, 3))
 
 
 def _carried_force(
