@@ -166,16 +166,23 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     allowed = closest_first(known, names) if isinstance(error, cyclopts.UnknownCommandError) else "see --help"
     command = " ".join(error.command_chain or ("COMMAND",))
     what = str(error).strip().splitlines()[0]
-    argument = error.argument
-    if isinstance(error, cyclopts.MissingArgumentError) and (misspelt := _unknown_option(words)):
-        what = f"'{command}' has no option {misspelt}"
-        allowed = closest_first(misspelt, _options(error))
-    elif isinstance(error, cyclopts.MissingArgumentError) and argument is not None and error.keyword is None:
-        # The library calls a positional argument by the option of the same name.
-        positional = argument.field_info.is_positional
-        name = argument.name.lstrip("-").upper() if positional else argument.name
-        what = f"the {'argument' if positional else 'option'} {name} of '{command}' is missing"
+    if isinstance(error, cyclopts.MissingArgumentError):
+        if misspelt := _unknown_option(words):
+            what, allowed = f"'{command}' has no option {misspelt}", closest_first(misspelt, _options(error))
+        else:
+            what = _missing(error, command) or what
     return Issue(what, "command line", allowed, f"imubayes {command} --help shows an example")
+
+
+def _missing(error: cyclopts.MissingArgumentError, command: str) -> str:
+    """Return which argument or option is missing; empty if it is there without a value."""
+    argument = error.argument
+    if argument is None or error.keyword is not None:
+        return ""
+    # The library calls a positional argument by the option of the same name.
+    positional = argument.field_info.is_positional
+    name = argument.name.lstrip("-").upper() if positional else argument.name
+    return f"the {'argument' if positional else 'option'} {name} of '{command}' is missing"
 
 
 def _unknown_option(words: Sequence[str]) -> str:
