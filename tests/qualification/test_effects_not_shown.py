@@ -119,4 +119,4 @@ def test_what_is_not_known_of_a_mission_is_named_and_equipment_is_left_out(unit)
 def test_without_a_diagnosis_the_command_that_makes_one_is_named(unit):
     found = impact(unit, None)
     assert not found.diagnosed
-    assert "`imubayes diagnose RESULT` determines them" in report_text(navigation_report(found))
+    assert "`imubayes diagnose RESULT` lists these effects" in report_text(navigation_report(found))

@@ -537,3 +537,11 @@ def browsed(folder: Path, page: str) -> tuple[list[str], set[str]]:
     said = subprocess.run([*command, f"file://{file}"], capture_output=True, text=True, timeout=60, check=False).stderr
     console = [line for line in said.splitlines() if "CONSOLE" in line]
     return console, set(re.findall(r'"url":"https?://([^/"]*)', log.read_text()))
+
+
+def test_an_upper_limit_below_every_possible_value_is_unusable_input(result, capsys):
+    text = '[[limit]]\nquantity = "white_noise.sigma"\nupper = -1\nunit = "output"\n'
+    out = result.parent / "negative.json"
+    assert run(["report", str(result), "--spec", specification(result.parent, text), "--out", str(out)]) == 2
+    assert "cannot be negative" in capsys.readouterr().err
+    assert not out.exists()

@@ -64,9 +64,9 @@ def add(
     Parameters
     ----------
     effects
-        Names of effects or noise components; `imubayes effects` lists them. The name of a Python
-        file adds the effects that it defines; `imubayes diagnose --python` prints such a file. Without names, the simplest
-        explanation of the diagnosis is added.
+        Names of effects or noise components; `imubayes effects` lists them. A Python file
+        adds the effects that it defines; `imubayes diagnose --python` prints such a file. Without names, the
+        simplest explanation of the diagnosis is added.
     to
         Result folder of the model to start from; it is not changed.
     out

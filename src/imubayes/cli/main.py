@@ -175,7 +175,7 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
 
 
 def _missing(error: cyclopts.MissingArgumentError, command: str) -> str:
-    """Return which argument is missing; empty if it belongs to another one."""
+    """Return which argument or option is missing; empty if it is there without a value."""
     argument = error.argument
     if argument is None or error.keyword is not None:
         return ""

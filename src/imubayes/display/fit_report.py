@@ -71,7 +71,7 @@ def weak_lines(summary: Summary) -> tuple[str, ...]:
     said = [f"{quantities.MARK} Not determined (less than {least} from the data): {listed(loose)}."] * bool(loose)
     said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
     sums = len(summary.combinations)
-    determined = f" They determine {counted(sums, 'sum')} much better than the parameters in it." if sums else ""
+    determined = f" They determine {counted(sums, 'sum')} much better than the single parameters." if sums else ""
     said += [f"The data determine {counted(weak, 'combination')} of parameters weakly.{determined}"] * bool(weak)
     if summary.next_runs:
         first = summary.next_runs[0]

@@ -197,9 +197,7 @@ def _all_channels(known: Campaign, campaign: Campaign) -> tuple[Channel, ...]:
             what = "is not one of the fit" if fitted is None else "has another axis, scale or offset than in the fit"
             where = f"{campaign.folder or campaign.name}, channel '{channel.name}'"
             allowed = "kind, axes, scale and offset as in the campaign that was fitted"
-            remedy = (
-                "state the same kind, axes, scale and offset: the estimated errors are deviations from these values"
-            )
+            remedy = "state the same kind, axes, scale and offset: estimated errors are deviations from these values"
             issues.append(Issue(f"channel '{channel.name}' {what}", where, allowed, remedy))
     refuse(issues)
     return (*known.channels, *further)

@@ -92,10 +92,10 @@ def read_fit(folder: str | Path) -> Fit:
     z, h = _in_order(model.layout, record.z, folder), _in_order(model.hyper_layout, record.h, folder)
     if model_hash(model) != record.model_hash:
         raise input_error(
-            "the model is no longer the one that was fitted",
+            "the model is no longer the one that was fitted: an effect file or the version of imubayes has changed",
             str(folder / MODEL),
-            "the file as the fit wrote it, with the effect files beside it",
-            "restore it; to fit the model as it is now: "
+            "the effect files and the version of the fit, which `provenance` in summary.json states",
+            "restore them; to fit the model as it is now: "
             f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
         )
     optimised = record.converged if record.optimised is None else record.optimised

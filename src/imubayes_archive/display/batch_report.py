@@ -202,7 +202,7 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
     looked = f"{counted(found.campaigns, 'campaign')} of {of}, {candidates}"
     lines = [text for each in found.findings for text in _finding_lines(each)]
     lines.append(_nothing_line(found))
-    lines.append(f"{looked}; a priori {found.expected:g} missing effect is expected")
+    lines.append(f"{looked}; the prior expects {found.expected:g} missing effect")
     head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for / against")
     beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
     rows = [_row(each.evidence, each) for each in found.findings]
@@ -213,7 +213,7 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
 
 def _nothing_line(found: PooledDiscovery) -> str:
     if found.findings:
-        return f"Nothing else is missing with probability {probability(found.nothing_else)}."
+        return f"The probability that nothing else is missing is {probability(found.nothing_else)}."
     return f"No effect is missing that these units show together: probability {probability(found.nothing)}."
 
 
@@ -231,7 +231,7 @@ def _finding_lines(each: PooledFinding) -> list[str]:
             f"{one.effect}{f' ({one.equipment})' if one.equipment else ''} {probability(one.probability)}"
             for one in each.place
         ]
-        lines.append(f"These units cannot distinguish, with shares: {' or '.join(told)}.")
+        lines.append(f"These units cannot distinguish these causes (with their shares): {' or '.join(told)}.")
     if each.named:
         shown = ", ".join(each.named[:_MOST_NAMED]) + (", …" if len(each.named) > _MOST_NAMED else "")
         lines.append(f"Shown by each of {counted(len(each.named), 'unit')} alone: {shown}.")

@@ -168,9 +168,8 @@ def _resolved(
         return None
     if factor is None:
         own = " (the output unit of the channel)" if quantity.unit == "output" else ""
-        allowed = (
-            quantity.unit + own + ("; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %")
-        )
+        relative = "; ppm and % if the limit states 'nominal'" if entry.nominal is None else ", ppm, %"
+        allowed = f"{quantity.unit}{own}{relative}"
         ledger.add(
             f"{quantity.name} cannot be stated in the unit '{entry.unit}'",
             where,
@@ -179,13 +178,7 @@ def _resolved(
         )
         return None
     lower, upper = _ends(entry, factor, shift)
-    if quantity.name in unit.nonnegative and upper < 0:
-        ledger.add(
-            f"the upper limit of {quantity.name} is below 0, but this quantity cannot be negative",
-            (*path, "upper"),
-            "an upper limit of 0 or more",
-            "correct the sign or the quantity",
-        )
+    if _below_all_values(quantity.name, upper, unit, path, ledger):
         return None
     made = entry.production
     return ResolvedLimit(
@@ -196,6 +189,19 @@ def _resolved(
         production=None if made is None else rules.Production(shift + factor * made.mean, abs(factor) * made.sd),
         nominal=entry.nominal,
     )
+
+
+def _below_all_values(name: str, upper: float, unit: TestedUnit, path: tuple[str | int, ...], ledger: Ledger) -> bool:
+    """Return whether no value of a quantity could meet its upper limit, which is then an issue."""
+    impossible = name in unit.nonnegative and upper < 0
+    if impossible:
+        ledger.add(
+            f"the upper limit of {name} is below 0, but this quantity cannot be negative",
+            (*path, "upper"),
+            "an upper limit of 0 or more",
+            "correct the sign or the quantity",
+        )
+    return impossible
 
 
 def _ends(entry: LimitEntry, factor: float, shift: float) -> tuple[float, float]:

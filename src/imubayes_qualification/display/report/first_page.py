@@ -27,8 +27,8 @@ def _approximate(convergence: record.ReportedConvergence) -> str:
     if convergence.sampled or not convergence.converged:
         return ""
     return (
-        " The posterior was not sampled: this report is based on its Laplace approximation. Confirm "
-        "it by sampling (`imubayes fit` without `--no-sample`)."
+        " The posterior was not sampled: this report is based on its Laplace approximation. Confirm the "
+        "numbers by sampling (`imubayes fit` without `--no-sample`)."
     )
 
 
