@@ -261,7 +261,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "angle in radians while turning": (column(RAW, "table_angle_deg", np.deg2rad), "angle_in_radians", r"raw\.csv, column", "degrees"),
     "rate in radians": (column(RATES, "table_rate_deg_s", np.deg2rad), "rate_unit", r"rates\.csv, column 'table_rate_deg_s'", "degrees per second"),
     "gyro in radians": (column(RATES, "gy", np.deg2rad), "rate_unit", r"rates\.csv, column 'gy'", "1000 pulse/s per deg/s"),
-    "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "(deg/s for deg/h)", r"channel\[0\]\.scale", "'scale' of them per 'per'"),
+    "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "(deg/s instead of deg/h)", r"channel\[0\]\.scale", "'scale' of them per 'per'"),
     "accelerometer in m/s²": (column(POSITIONS, "ax", lambda a: a * 9.80665), "acceleration_unit", r"column 'ax'", "per g"),
     "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "vary"),
     "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "not static poses", r"rates\.csv", "raw log"),

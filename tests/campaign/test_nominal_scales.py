@@ -154,7 +154,7 @@ def test_a_unit_is_named_before_a_factor_that_is_as_good() -> None:
     (found,) = judge_setup(_campaign(THREE, SEATS, scale=dict.fromkeys(("ax", "ay", "az"), 9.80665))).mistakes
     mistake = found[0].mistake
     assert isinstance(mistake, NominalScale)
-    assert mistake.units(found[0].size) == "m/s² for g"
+    assert mistake.units(found[0].size) == "m/s² instead of g"
 
 
 def test_a_valid_campaign_passes() -> None:

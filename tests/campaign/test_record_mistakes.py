@@ -109,7 +109,7 @@ def test_sums_in_the_place_of_means_are_named_in_their_run(tmp_path: Path):
     for name in ("ax", "ay", "az"):
         changed(files, run, name, lambda mean: 600 * mean)
     (issue,) = inspect_campaign(tmp_path / "triad").issues
-    assert f"600 times too large in run '{run['name']}' (sums for means)" in issue.what
+    assert f"600 times too large in run '{run['name']}' (sums instead of means)" in issue.what
 
 
 def test_two_channels_along_one_axis_are_named_with_the_axis_of_one(tmp_path: Path):

@@ -36,7 +36,8 @@ REVERSED = 0.3  # least share of the nominal slope that a reversed sign leaves
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _DECIMAL = "a decimal place of the scale"
 _RATE_FACTORS = {
-    1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h", 10.0: _DECIMAL,
+    1 / DEGREE: "rad/s and deg/s exchanged", 3600.0: "deg/h and deg/s exchanged",
+    3600 / DEGREE: "rad/s and deg/h exchanged", 10.0: _DECIMAL,
 }  # fmt: skip
 _ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged", 10.0: _DECIMAL}
 

@@ -34,14 +34,15 @@ _SAME_SD = 4.0
 _DEGREE = math.pi / 180
 GAINS = {
     "gyro": {
-        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
-        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3, "a decimal place": 10.0, "one decimal place": 0.1,
+        "deg/s instead of rad/s": 1 / _DEGREE, "rad/s instead of deg/s": _DEGREE, "deg/h instead of deg/s": 3600.0,
+        "deg/s instead of deg/h": 1 / 3600, "deg/h instead of rad/s": 3600.0 / _DEGREE,
+        "rpm instead of deg/s": 1 / 6, "deg/s instead of rpm": 6.0, "mdeg/s instead of deg/s": 1000.0,
+        "deg/s instead of mdeg/s": 1e-3, "a decimal place": 10.0, "one decimal place": 0.1,
     },
     "accelerometer": {
-        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0, "a decimal place": 10.0,
-        "one decimal place": 0.1,
+        "m/s² instead of g": 9.80665, "g instead of m/s²": 1 / 9.80665, "mg instead of g": 1000.0,
+        "g instead of mg": 1e-3, "ft/s² instead of g": 32.174, "mg instead of m/s²": 1000 / 9.80665,
+        "cm/s² instead of m/s²": 100.0, "a decimal place": 10.0, "one decimal place": 0.1,
     },
 }  # fmt: skip
 """Mistaken units of an output, and the factor by which it is too large."""

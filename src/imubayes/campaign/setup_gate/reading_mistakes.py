@@ -358,7 +358,7 @@ class ChannelGain(Mistake):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
-                summed = {"sums for means": float(counts[0])} if len(counts) == 1 and counts[0] > 1 else {}
+                summed = {"sums instead of means": float(counts[0])} if len(counts) == 1 and counts[0] > 1 else {}
                 about = dict.fromkeys([offsets, (0.0,) * len(group)] if scope.section == "run" else [offsets])
                 for (units, factor), fixed in itertools.product((factors | summed).items(), about):
                     yield cls(scope, names, group, fixed, factor, units)
