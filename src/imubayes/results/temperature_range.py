@@ -38,9 +38,13 @@ def _terms(sensor: str, what: str) -> tuple[tuple[str, str, int], ...]:
     return (f"{sensor}_{what}_temperature", "slope", 1), (f"{sensor}_{what}_temperature_quadratic", "curvature", 2)
 
 
+def _terms_of_bias(sensor: str) -> tuple[tuple[str, str, int], ...]:
+    return (*_terms(sensor, "bias"), (f"{sensor}_bias_temperature_cubic", "coefficient", 3))
+
+
 FAMILIES = {
-    "gyro_bias.bias": ThermalTerms("bias", _terms("gyro", "bias")),
-    "accel_bias.bias": ThermalTerms("bias", _terms("accel", "bias")),
+    "gyro_bias.bias": ThermalTerms("bias", _terms_of_bias("gyro")),
+    "accel_bias.bias": ThermalTerms("bias", _terms_of_bias("accel")),
     "gyro_scale_factor.scale": ThermalTerms("relative", _terms("gyro", "scale")),
     "accel_scale_factor.scale": ThermalTerms("relative", _terms("accel", "scale")),
     "scale_factor": ThermalTerms("scale", (*_terms("gyro", "scale"), *_terms("accel", "scale"))),
