@@ -173,7 +173,7 @@ def test_nul_bytes_at_the_ends_of_lines_are_left_out_and_said(tmp_path: Path) ->
     """A logger on a serial port began with them; one whose power failed goes on in the middle of the file."""
     lines = [",".join(NAMED), *(",".join(f"{value:.6g}" for value in row) for row in ROWS)]
     (plain := tmp_path / "plain.csv").write_text("\n".join(lines) + "\n")
-    broken = [lines[0], "\0" * 577 + lines[0], *lines[1:40], "\0" * 512 + lines[40], *lines[41:]]
+    broken = [lines[0], "\0" * 577 + lines[0], *lines[1:40], "\0" * 512 + lines[40], lines[41] + "\0" * 9, *lines[42:]]
     (padded := tmp_path / "padded.csv").write_text("\r\n".join(broken) + "\r\n" + "\0" * 4096)
     read, expected = open_recording(padded), open_recording(plain)
     columns = range(len(NAMED))

@@ -408,11 +408,11 @@ def _to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarr
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     step = bent - _bent(approximation, problem, bent)
-    factors = given.factors
-    whitened = np.stack([each.T @ own for each, own in zip(factors, step, strict=True)]) - given.half
+    factor = given.factor[given.place]
+    whitened = (np.swapaxes(factor, 1, 2) @ step[..., None])[..., 0] - given.half
     density = _log_density(approximation, given, whitened, along)
     if approximation.shape is not None:
-        whitened, excess = approximation.shape.normalised(factors, whitened)
+        whitened, excess = approximation.shape.normalised(factor, whitened)
         density = density + excess
     return np.concatenate([whitened, approximation.of_scales.normals(along)], axis=1), density
 

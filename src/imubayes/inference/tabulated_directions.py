@@ -63,7 +63,7 @@ class TabulatedDirections(eqx.Module):
         return normal + np.einsum("npm,nm->np", axes, after - before), self._excess(after)
 
     def normalised(
-        self, factor: Sequence[np.ndarray] | np.ndarray, whitened: Float[Array, "n P"]
+        self, factor: Float[Array, "n P P"], whitened: Float[Array, "n P"]
     ) -> tuple[Float[Array, "n P"], Float[Array, " n"]]:
         """Return the standard normal vectors of whitened steps, and the log density as `shaped` does."""
         axes = self._axes(factor)

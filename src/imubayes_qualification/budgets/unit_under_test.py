@@ -164,8 +164,10 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
     jointly = {each.name: np.array(each.values) for each in exact.jointly}
     parameters = (*model.layout.parameters, *model.hyper_layout.parameters)
     nonnegative = frozenset(each.name for each in parameters if each.prior.support()[0] >= 0).union(lengths)
-    unit = replace(unit, quantities=known, lengths=lengths, nonnegative=nonnegative)
-    return replace(unit, added=added, unstated=unstated, jointly=jointly)
+    return replace(
+        unit, quantities=known, lengths=lengths, nonnegative=nonnegative, added=added, unstated=unstated,
+        jointly=jointly,
+    )  # fmt: skip
 
 
 def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> PosteriorQuantities:

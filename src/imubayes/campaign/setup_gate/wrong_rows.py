@@ -402,6 +402,10 @@ def _medians(values: np.ndarray) -> np.ndarray:
     return ((ordered[each, (count - 1) // 2] + ordered[each, count // 2]) / 2)[:, None]
 
 
+def _rates_recorded(view: RunView) -> bool:
+    return turns(view) or view.reference is not None
+
+
 @dataclass(frozen=True)
 class RateFactor(Mistake):
     """The rates of one run, of its table or its reference gyro, are the recorded ones times a factor.
@@ -427,11 +431,7 @@ class RateFactor(Mistake):
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
         """Return every run that turns, if there are several: a scale factor is known by the rate alone."""
-        turning = [
-            scope
-            for scope, view in ((each, views[each.runs[0]]) for each in single_runs(views))
-            if turns(view) or view.reference is not None
-        ]
+        turning = [scope for scope in single_runs(views) if _rates_recorded(views[scope.runs[0]])]
         return turning if len(turning) > 1 and campaign.of_kind("gyro") else []
 
     def possible(self, size: float) -> bool:

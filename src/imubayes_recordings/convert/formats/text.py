@@ -73,8 +73,8 @@ class TextRecording(SourceRecording):
         with open_text(self.file, layout.encoding) as stream:
             lines = islice(enumerate(stream, 1), layout.first - 1, None)
             while chunk := list(islice(lines, BLOCK_ROWS)):
-                chunk = self._without_padding(chunk)
-                rows = [(n, line) for n, line in chunk if line.strip() and not self._no_data(line)]
+                text = self._without_padding(chunk)
+                rows = [(n, line) for n, line in text if not line.isspace() and not self._no_data(line)]
                 self._lines, self._last = self._lines + len(rows), rows[-1][0] if rows else self._last
                 block = self._whole(rows, positions) if plain else None
                 yield self._by_line(rows, topic, kinds, positions) if block is None else block
@@ -88,10 +88,10 @@ class TextRecording(SourceRecording):
         return self.layout.tags.lines[topic.name].kinds if self.layout.tags else self.layout.kinds
 
     def _without_padding(self, lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
-        """Return numbered lines without NUL bytes at their ends."""
+        """Return numbered lines without NUL bytes at their ends, and without lines that hold nothing else."""
         padded = [number for number, line in lines if "\0" in line]
         self._padded += padded
-        return [(number, without_padding(line)) for number, line in lines] if padded else lines
+        return [(n, text) for n, line in lines if (text := without_padding(line))] if padded else lines
 
     def notes(self) -> tuple[str, ...]:
         """Return how many lines were left out, and which; and which held NUL bytes."""

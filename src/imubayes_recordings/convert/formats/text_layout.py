@@ -91,8 +91,8 @@ def is_padded_text(head: bytes) -> bool:
 
 
 def without_padding(line: str) -> str:
-    """Return a line without the NUL characters at its start and end."""
-    return line.strip("\0") if "\0" in line else line
+    """Return a line without its end, and without the NUL characters at its start and end."""
+    return line.rstrip("\r\n").strip("\0")
 
 
 def find_layout(file: Path, delimiter: str | None) -> TextLayout:
@@ -182,10 +182,7 @@ def _first_lines(file: Path) -> tuple[str, list[tuple[int, str]]]:
     for encoding in ("utf-8-sig", "utf-16", "cp1252"):
         try:
             with open_text(file, encoding) as stream:
-                lines = [
-                    (number, without_padding(line.rstrip("\r\n")))
-                    for number, line in enumerate(islice(stream, _MOST_LINES), 1)
-                ]
+                lines = [(number, without_padding(line)) for number, line in enumerate(islice(stream, _MOST_LINES), 1)]
         except UnicodeError:
             continue
         except (OSError, EOFError, lzma.LZMAError) as error:
